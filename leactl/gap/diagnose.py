@@ -268,6 +268,16 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
             f"not named: {item.finding.effect}; too much is left beside what it explains" for item in judged
         )
         causes = tuple(replace(c, probability=c.probability * (1.0 - surprise.probability)) for c in causes)
+    elif surprise.probability >= UNKNOWN and surprise.channel is not None and surprise.channel[0] == "current":
+        # where a limit acts, the current is the limit's: what is left beside it shows that it is another law's
+        limits = [item.finding.effect for item in judged if library()[item.finding.effect].limits_current]
+        set_notes += tuple(
+            f"not named: {name}; where a limit of the drive acts, nothing is left of the current" for name in limits
+        )
+        causes = tuple(
+            replace(c, probability=c.probability * (1.0 - surprise.probability)) if c.effect in limits else c
+            for c in causes
+        )
     named = [cause for cause in causes if cause.probability >= NAMED and cause.effect in members]
     progress("simulating again")
     stamps = evidence.stamping(searched.fit)

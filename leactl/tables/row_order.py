@@ -77,9 +77,9 @@ def order_rows(
     doubled = np.flatnonzero(repeats) + 1
     repeated_values = repeated_rows(values)
     if len(doubled):
-        empty = ~np.isfinite(values).any(axis=1)  # rows without a reading are alike
-        alike = np.logical_or(repeated_values, empty[1:] & empty[:-1])
-        different = doubled[~alike[doubled - 1]]
+        empty: npt.NDArray[np.bool_] = ~np.isfinite(values).any(axis=1)  # rows without a reading are alike
+        before = doubled - 1
+        different = doubled[~(repeated_values[before] | (empty[doubled] & empty[before]))]
         if len(different):
             hint = "are stamps coarser than frames? time.frame_rate_Hz places them"
             raise InputError(f"{where(int(different[0]))}: the stamp stands twice, over different values; {hint}")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from leactl.effects.contract import Signals
+from leactl.gap.diagnose import diagnose
 from leactl.gap.diagnosis import CalibratedParameter, Cause, EffectParameter, Shrinkage
 from leactl.gap.search.parameters import at_bound
 from leactl.gap.search.regression import Normal, Rows, gain_of, stack
@@ -17,6 +18,7 @@ from leactl.gap.verdict.withdrawal import FittedEffects, apply
 from leactl.model.nominal import Model, read_model
 from leactl.vocabulary.effect import effect_definition, effect_names
 from tests.cli.terminal import leactl
+from tests.gap.joints import Effect, Log, case, drawn_joint
 
 SOUND = CalibratedParameter("viscous_damping", 0.0238, 0.024, 1e-4, "N*m*s/rad")
 BOUNDED = CalibratedParameter("rotor_inertia", 0.0024, 0.00012, 1e-6, "kg*m^2")
@@ -330,3 +332,17 @@ def test_the_recipe_of_the_readme_names_nothing_that_is_not_there(tmp_path, monk
     answer = json.loads(done.stdout)
     assert answer["causes"] == []
     assert answer["verdict"] != "effect"
+
+
+@pytest.mark.parametrize(
+    "seed", [41, 46, *(pytest.param(seed, marks=pytest.mark.long) for seed in (40, 42, 43, 45, 47))]
+)
+def test_a_voltage_that_ends_is_no_limit_of_the_drive(seed):
+    """A hyperbola and a cap resemble the line to which a voltage limits a current over speed, and are not it."""
+    random = np.random.default_rng(seed)
+    joint = drawn_joint(random)
+    fastest = joint.constant * joint.top / joint.damping
+    found = diagnose(case(joint, Log(), random, Effect(stalled=1.5 * joint.top, unloaded=1.1 * fastest)))
+    assert found.verdict == "unknown"
+    assert all(cause.probability < 0.5 for cause in found.causes)
+    assert any("a limit of the drive" in note for note in found.notes)
