@@ -77,7 +77,7 @@ def order_rows(
     doubled = np.flatnonzero(repeats) + 1
     repeated_values = repeated_rows(values)
     if len(doubled):
-        empty: npt.NDArray[np.bool_] = ~np.isfinite(values).any(axis=1)  # rows without a reading are alike
+        empty = np.asarray(~np.isfinite(values).any(axis=1))  # rows without a reading are alike
         before = doubled - 1
         different = doubled[~(repeated_values[before] | (empty[doubled] & empty[before]))]
         if len(different):
