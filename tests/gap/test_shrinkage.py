@@ -1,6 +1,7 @@
 """How far a gap shrinks, on runs whose truth is a model's own output, and on the practice cases where they are."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,11 @@ import pytest
 
 from leactl.gap.replay import Job, plant_of, replay, replay_all
 from leactl.gap.replay.bearing import TRIED, give_of
-from leactl.gap.signals.record import read_record
+from leactl.gap.replay.comparison import compare
+from leactl.gap.signals.record import build, read_record
 from leactl.gap.verdict.shrinkage import closed_between, closes, shrinkage
 from leactl.model.nominal import Model, read_model
+from tests.gap.joints import Log, channels, drawn_joint
 from tests.gap.synthetic import INTERVAL_S, model, record
 
 TORQUE_NOISE, CURRENT_NOISE = 0.01, 0.02
@@ -195,3 +198,18 @@ def test_the_true_parameters_of_a_practice_case_leave_the_floor(case):
     assert over["velocity", "test", "free"] < 3.5
     if case != "practice-1":
         assert max(one.closed or 0.0 for one in found.values()) > (0.8 if case == "practice-3" else 0.9)
+
+
+def test_what_a_filter_leaves_of_a_motion_that_is_over_is_no_noise():
+    """A locked rotor's velocity dies away to 1e-60 rad/s, which no log tells from none."""
+    random = np.random.default_rng(5)
+    joint = drawn_joint(random)
+    nominal = joint.model(random)
+    made = channels(joint, Log(), "levels", random)
+    count = len(made[0].values)
+    fading = {"velocity": 0.1 * np.exp(-0.05 * np.arange(count)), "angle": np.zeros(count)}
+    made = [replace(channel, values=fading.get(channel.quantity, channel.values)) for channel in made]
+    locked = build(Path("lock-a.h5"), "levels", "locked", made, {})
+    job = replay(locked, nominal)
+    (velocity,) = [channel for channel in compare(locked, [job], job) if channel.quantity == "velocity"]
+    assert velocity.noise == 0.0

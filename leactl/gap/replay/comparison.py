@@ -17,6 +17,7 @@ BLOCK_S = 1.0
 FEWEST_BLOCKS = 20  # of a slow clock, whose blocks are longer since its errors last
 LAG = 4  # samples between the values whose differences give the noise
 STRETCH = 500  # samples of one noise estimate
+RESOLUTION = float(np.finfo(np.float32).eps)  # of a channel's largest value, below which no log tells its noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +89,8 @@ def _compared(
     length = BLOCK_S if clock is record.fast else max(BLOCK_S, float(time[-1]) / FEWEST_BLOCKS)
     block = (time[index] / length).astype(np.intp)
     noise = max(min(white(residual) for residual in residuals), quantum_of(values) / np.sqrt(12.0))
+    if noise < RESOLUTION * float(np.max(np.abs(values[index]))):  # such as a filter's output that dies away
+        noise = 0.0
     return Compared(
         run=record.name,
         kind=record.kind,
