@@ -1,7 +1,6 @@
 """How far a gap shrinks, on runs whose truth is a model's own output, and on the practice cases where they are."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +8,10 @@ import pytest
 
 from leactl.gap.replay import Job, plant_of, replay, replay_all
 from leactl.gap.replay.bearing import TRIED, give_of
-from leactl.gap.replay.comparison import compare
-from leactl.gap.signals.record import build, read_record
+from leactl.gap.replay.comparison import noise_of_residuals
+from leactl.gap.signals.record import read_record
 from leactl.gap.verdict.shrinkage import closed_between, closes, shrinkage
 from leactl.model.nominal import Model, read_model
-from tests.gap.joints import Log, channels, drawn_joint
 from tests.gap.synthetic import INTERVAL_S, model, record
 
 TORQUE_NOISE, CURRENT_NOISE = 0.01, 0.02
@@ -201,15 +199,7 @@ def test_the_true_parameters_of_a_practice_case_leave_the_floor(case):
 
 
 def test_what_a_filter_leaves_of_a_motion_that_is_over_is_no_noise():
-    """A locked rotor's velocity dies away to 1e-60 rad/s, which no log tells from none."""
-    random = np.random.default_rng(5)
-    joint = drawn_joint(random)
-    nominal = joint.model(random)
-    made = channels(joint, Log(), "levels", random)
-    count = len(made[0].values)
-    fading = {"velocity": 0.1 * np.exp(-0.05 * np.arange(count)), "angle": np.zeros(count)}
-    made = [replace(channel, values=fading.get(channel.quantity, channel.values)) for channel in made]
-    locked = build(Path("lock-a.h5"), "levels", "locked", made, {})
-    job = replay(locked, nominal)
-    (velocity,) = [channel for channel in compare(locked, [job], job) if channel.quantity == "velocity"]
-    assert velocity.noise == 0.0
+    fading = 0.1 * np.exp(-0.05 * np.arange(6000))  # the velocity of a locked rotor, down to 1e-131 rad/s
+    assert noise_of_residuals(fading, [fading]) == 0.0
+    noisy = fading + np.random.default_rng(0).normal(0.0, 1e-4, 6000)
+    assert noise_of_residuals(noisy, [noisy]) == pytest.approx(1e-4, rel=0.1)

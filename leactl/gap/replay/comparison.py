@@ -1,5 +1,6 @@
 """Measured channels with their replays by models, sample by sample, and the channel's noise."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -88,9 +89,7 @@ def _compared(
     time = clock.since_begin
     length = BLOCK_S if clock is record.fast else max(BLOCK_S, float(time[-1]) / FEWEST_BLOCKS)
     block = (time[index] / length).astype(np.intp)
-    noise = max(min(white(residual) for residual in residuals), quantum_of(values) / np.sqrt(12.0))
-    if noise < RESOLUTION * float(np.max(np.abs(values[index]))):  # such as a filter's output that dies away
-        noise = 0.0
+    noise = max(noise_of_residuals(values[index], residuals), quantum_of(values) / math.sqrt(12.0))
     return Compared(
         run=record.name,
         kind=record.kind,
@@ -106,6 +105,13 @@ def _compared(
         noise=float(noise),
         restarts=restarts,
     )
+
+
+def noise_of_residuals(values: Array, residuals: Sequence[Array]) -> float:
+    """Return the noise of a channel from the residuals of its replays; zero where no log resolves it from none."""
+    noise = min(white(residual) for residual in residuals)
+    # the output of a filter dies away to nothing after a motion, in steps that are no noise
+    return noise if noise > RESOLUTION * float(np.max(np.abs(values))) else 0.0
 
 
 def white(values: Array) -> float:
