@@ -13,7 +13,7 @@ import numpy.typing as npt
 from leactl.gap.diagnosis import EffectParameter
 from leactl.gap.setup.contract import SetUpFault, with_values
 from leactl.gap.setup.delays import Lateness, lateness, width_of
-from leactl.gap.setup.side_by_side import Pair, direct_pairs
+from leactl.gap.setup.expected_channels import ExpectedChannel, direct_pairs
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import Key, Record
 from leactl.gap.signals.smoothing import slope, smooth
@@ -57,7 +57,7 @@ class LatenessCourse:
 def out_of_time(records: Sequence[Record], model: Model) -> SetUpFault | None:
     """Return the clock fault of the channel that shows it in most runs, if any channel does."""
     courses: dict[Key, dict[str, LatenessCourse]] = {}
-    drifting_pairs: dict[Key, list[tuple[Record, Pair, Lateness]]] = {}
+    drifting_pairs: dict[Key, list[tuple[Record, ExpectedChannel, Lateness]]] = {}
     pair_counts: dict[Key, int] = {}
     for record in records:
         for pair in direct_pairs(record, model):
@@ -65,7 +65,7 @@ def out_of_time(records: Sequence[Record], model: Model) -> SetUpFault | None:
             pair_counts[pair.key] = pair_counts.get(pair.key, 0) + 1
             if in_time(pair):
                 continue
-            stretches = lateness(pair.reads, pair.expected, record.fast.all_valid(*pair.keys), STRETCHES)
+            stretches = lateness(pair.measured, pair.expected, record.fast.all_valid(*pair.inputs), STRETCHES)
             if len(stretches.late) >= FEWEST:
                 drifting_pairs.setdefault(pair.key, []).append((record, pair, stretches))
     for key, group in drifting_pairs.items():
@@ -81,23 +81,23 @@ def out_of_time(records: Sequence[Record], model: Model) -> SetUpFault | None:
     if not courses:
         return None
     key = max(courses, key=lambda key: len(courses[key]))
-    return fault_of(key, drifting_pairs[key][0][1].against, courses[key], records)
+    return fault_of(key, drifting_pairs[key][0][1].reference_label, courses[key], records)
 
 
-def in_time(pair: Pair) -> bool:
+def in_time(pair: ExpectedChannel) -> bool:
     """Return whether a channel follows its companion with one lag that is not negative, and to within its noise."""
     width = width_of(pair.expected)
     expected = smooth(pair.expected, width)
     columns = np.stack([expected, -slope(expected, 1.0), np.ones(len(expected))], axis=1)
-    solved, *_ = np.linalg.lstsq(columns, smooth(pair.reads, width), rcond=1e-10)
-    residual = pair.reads - solved[0] * pair.expected
+    solved, *_ = np.linalg.lstsq(columns, smooth(pair.measured, width), rcond=1e-10)
+    residual = pair.measured - solved[0] * pair.expected
     noise = noise_of(residual) / np.sqrt(np.sqrt(4.0 * np.pi) * width)
-    smooth_residual = smooth(pair.reads, width) - columns @ solved
+    smooth_residual = smooth(pair.measured, width) - columns @ solved
     early = solved[1] < -SAMPLE * abs(solved[0])
     return not early and float(np.std(smooth_residual)) < QUIET * noise
 
 
-def drifting(group: Sequence[tuple[Record, Pair, Lateness]]) -> dict[str, LatenessCourse]:
+def drifting(group: Sequence[tuple[Record, ExpectedChannel, Lateness]]) -> dict[str, LatenessCourse]:
     """Return the courses of runs in which a channel drifts alike, or is early; empty where it does neither."""
     lines = {record.name: line(stretches) for record, _, stretches in group}
     known = {
@@ -113,18 +113,20 @@ def drifting(group: Sequence[tuple[Record, Pair, Lateness]]) -> dict[str, Latene
     ]
     if agreed and not contradicted and len(known) >= max(len(lines) // 2, 1):
         courses = {
-            record.name: LatenessCourse(lines[record.name][0].start - pair.filtered, lines[record.name][0].drift)
+            record.name: LatenessCourse(lines[record.name][0].start - pair.expected_delay, lines[record.name][0].drift)
             for record, pair, _ in group
         }
         return courses if mends(group, courses) else {}
     offsets = {record.name: (stretches.mean(), pair, record) for record, pair, stretches in group}
     early, late = 0, 0
     for (mean, error), pair, record in offsets.values():
-        allowed = SAMPLE * (2.0 if set(pair.keys) & unstamped(record) else 1.0)
-        early += mean - pair.filtered + STEADY * error < -allowed
-        late += mean - pair.filtered - STEADY * error > -allowed
+        allowed = SAMPLE * (2.0 if set(pair.inputs) & unstamped(record) else 1.0)
+        early += mean - pair.expected_delay + STEADY * error < -allowed
+        late += mean - pair.expected_delay - STEADY * error > -allowed
     if 2 * early > len(offsets) and not late:
-        courses = {run: LatenessCourse(mean - pair.filtered, 0.0) for run, ((mean, _), pair, _) in offsets.items()}
+        courses = {
+            run: LatenessCourse(mean - pair.expected_delay, 0.0) for run, ((mean, _), pair, _) in offsets.items()
+        }
         return courses if mends(group, courses, steady=False) else {}
     return {}
 
@@ -155,7 +157,7 @@ def drifts(course: LatenessCourse, error: float, scatter: float, span: float) ->
     return total > 2.0 * SAMPLE and abs(course.drift) > STEADY * error and scatter < FOLLOWS * total
 
 
-def leaping(record: Record, pair: Pair, stretches: Lateness) -> LatenessCourse | None:
+def leaping(record: Record, pair: ExpectedChannel, stretches: Lateness) -> LatenessCourse | None:
     """Return the course of a channel that becomes earlier in leaps and stays so; None where it does not."""
     error = np.maximum(stretches.error, float(np.median(np.abs(np.diff(stretches.late)))) + 0.05)
     steps = leaps_of(stretches.late, error)
@@ -212,16 +214,16 @@ def leaps_of(late: Array, error: Array) -> list[int]:
 
 
 def refined(
-    record: Record, pair: Pair, start: float, leaps: tuple[tuple[int, float], ...]
+    record: Record, pair: ExpectedChannel, start: float, leaps: tuple[tuple[int, float], ...]
 ) -> tuple[tuple[int, float], ...]:
     """Move each leap to the sample with the smallest squared residual."""
     refined_leaps, late = [], start
-    stamps = np.arange(len(pair.reads), dtype=np.float64)
-    reach = len(pair.reads) // STRETCHES
+    stamps = np.arange(len(pair.measured), dtype=np.float64)
+    reach = len(pair.measured) // STRETCHES
     for sample, height in leaps:
-        begin, end = max(sample - reach, 0), min(sample + reach, len(pair.reads))
+        begin, end = max(sample - reach, 0), min(sample + reach, len(pair.measured))
         residual_before, residual_after = (
-            np.interp(stamps[begin:end] - shift, stamps, pair.expected) - pair.reads[begin:end]
+            np.interp(stamps[begin:end] - shift, stamps, pair.expected) - pair.measured[begin:end]
             for shift in (late, late + height)
         )
         squares = np.concatenate([[0.0], np.cumsum(residual_before**2)]) + np.concatenate(
@@ -233,13 +235,15 @@ def refined(
 
 
 def mends(
-    group: Sequence[tuple[Record, Pair, Lateness]], courses: Mapping[str, LatenessCourse], steady: bool = True
+    group: Sequence[tuple[Record, ExpectedChannel, Lateness]],
+    courses: Mapping[str, LatenessCourse],
+    steady: bool = True,
 ) -> bool:
     """Return whether the median gain of the runs with corrected clocks is at least `MENDS`."""
     return float(np.median([gain_of(pair, courses[record.name], steady) for record, pair, _ in group])) >= MENDS
 
 
-def gain_of(pair: Pair, course: LatenessCourse, steady: bool) -> float:
+def gain_of(pair: ExpectedChannel, course: LatenessCourse, steady: bool) -> float:
     """Return the share of a channel's squared error that a corrected clock removes.
 
     steady : whether a constant lag is fitted in addition, before and after.
@@ -253,7 +257,7 @@ def gain_of(pair: Pair, course: LatenessCourse, steady: bool) -> float:
         reads = smooth(reads, width)
         return float(np.sum((reads - columns @ np.linalg.lstsq(columns, reads, rcond=1e-10)[0]) ** 2))
 
-    squares_before, squares_after = residual_squares(pair.reads), residual_squares(put_right(pair.reads, course))
+    squares_before, squares_after = residual_squares(pair.measured), residual_squares(put_right(pair.measured, course))
     return 1.0 - squares_after / squares_before if squares_before > 0.0 else 0.0
 
 

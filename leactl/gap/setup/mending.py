@@ -9,7 +9,7 @@ import numpy.typing as npt
 from leactl.gap.binned_means import bin_count, bin_edges, bin_of, means
 from leactl.gap.diagnosis import Picture, ResidualBin
 from leactl.gap.setup.delays import STRETCHES
-from leactl.gap.setup.side_by_side import Pair, direct_pairs, modelled_pairs
+from leactl.gap.setup.expected_channels import ExpectedChannel, direct_pairs, modelled_pairs
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.smoothing import slope, smooth
 from leactl.model.nominal import Model
@@ -24,7 +24,7 @@ OVER_TIME = {"clock_drift", "dropped_samples", "frozen_channel", "repeated_sampl
 class Off:
     """Error of a channel of a run against its expected value, as logged and mended."""
 
-    pair: Pair  # of the mended run
+    pair: ExpectedChannel  # of the mended run
     before: Array
     after: Array
     at: npt.NDArray[np.intp]  # samples of the run
@@ -42,10 +42,10 @@ def mended_picture(
     """
     groups: dict[tuple[str, str, str], list[Off]] = {}
     for logged, mended in zip(before, after, strict=True):
-        pairs = {(pair.key, pair.against): pair for pair in every_pair(logged, model)}
+        pairs = {(pair.key, pair.reference_label): pair for pair in every_pair(logged, model)}
         for pair in every_pair(mended, model):
-            if (rows := rows_of(logged, mended, pairs.get((pair.key, pair.against)), pair)) is not None:
-                groups.setdefault((pair.key[0], pair.against, mended.mechanical), []).append(rows)
+            if (rows := rows_of(logged, mended, pairs.get((pair.key, pair.reference_label)), pair)) is not None:
+                groups.setdefault((pair.key[0], pair.reference_label, mended.mechanical), []).append(rows)
     shares = {key: share_of(group) for key, group in groups.items()}
     if not shares:
         return None
@@ -55,18 +55,18 @@ def mended_picture(
     return None if picture is None else (picture, shares[worst_channel])
 
 
-def every_pair(record: Record, model: Model) -> Iterator[Pair]:
+def every_pair(record: Record, model: Model) -> Iterator[ExpectedChannel]:
     """Yield every channel of a run that has an expected value."""
     yield from direct_pairs(record, model)
     yield from modelled_pairs(record, model)
 
 
-def rows_of(logged: Record, mended: Record, before: Pair | None, after: Pair) -> Off | None:
+def rows_of(logged: Record, mended: Record, before: ExpectedChannel | None, after: ExpectedChannel) -> Off | None:
     """Return the error of a channel as logged and mended; None where one of both is not known."""
     if before is None or logged.fast is None or mended.fast is None:
         return None
-    valid = logged.fast.all_valid(*before.keys) & mended.fast.all_valid(*after.keys)
-    errors = [smooth(pair.reads) - smooth(pair.expected) for pair in (before, after)]
+    valid = logged.fast.all_valid(*before.inputs) & mended.fast.all_valid(*after.inputs)
+    errors = [smooth(pair.measured) - smooth(pair.expected) for pair in (before, after)]
     samples = np.flatnonzero(valid)
     return Off(after, errors[0][samples], errors[1][samples], samples) if len(samples) else None
 
@@ -82,10 +82,15 @@ def share_of(group: Sequence[Off]) -> float:
     return 1.0 - squares_after / squares_before if squares_before > 0.0 else 0.0
 
 
+def drawn_over(pair: ExpectedChannel) -> Array:
+    """Return the values of the variable that the error of a channel is drawn over."""
+    return smooth(pair.expected if pair.drawn_over is None else pair.drawn_over)
+
+
 def drawn_of(
     group: Sequence[Off], channel: tuple[str, str, str], over_time: bool, records: Sequence[Record]
 ) -> Picture | None:
-    """Return the picture of a channel's error in bins of its expected value, or of time; None with too few bins."""
+    """Return the picture of a channel's error in bins of its `variable`, or of time; None with too few bins."""
     intervals = {id(record.fast): record.fast.interval for record in records if record.fast is not None}
     interval = float(np.median(list(intervals.values())))
     signs = [
@@ -94,7 +99,7 @@ def drawn_of(
     before, after = (
         np.concatenate([off * sign for off, sign in zip(side, signs, strict=True)]) for side in sides_of(group)
     )
-    values = np.concatenate([interval * off.at if over_time else smooth(off.pair.expected)[off.at] for off in group])
+    values = np.concatenate([interval * off.at if over_time else drawn_over(off.pair)[off.at] for off in group])
     stretches = np.concatenate(
         [number * STRETCHES + off.at * STRETCHES // (int(off.at[-1]) + 1) for number, off in enumerate(group)]
     )
@@ -117,7 +122,7 @@ def drawn_of(
         variable,
         VARIABLES[variable].units,
         None,
-        f"change of what {pair.against} makes of it" if over_time else None,
+        f"change of what {pair.reference_label} makes of it" if over_time else None,
         *channel,
         "set-up",
         UNITS[channel[0]],
