@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from leactl.analysis.estimate import Covariance, Estimate, Grid, Plot, Result
-from leactl.analysis.quality.gate import channel_doubts
+from leactl.analysis.quality.channel_plausibility import channel_doubts
 from leactl.analysis.registry import GENERIC, Experiment, load, names
 from leactl.errors import InputError
 from leactl.processes import HERE, Workers

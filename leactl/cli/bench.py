@@ -105,7 +105,7 @@ def serve(
     from leactl.emulation.wires.serving import bridged, stub_chips
     from leactl.emulation.wires.serving import serve as serve_until
     from leactl.runner.checked_bench import load_checked
-    from leactl.runner.signals import listening
+    from leactl.runner.stop_requests import listening
 
     file, devices, _document = load_checked(bench)
     file = file.model_copy(update={"buses": file.buses | changed_buses(file, bus)})

@@ -256,7 +256,7 @@ def _follow(
     from leactl.runner.operators import keyboard
     from leactl.runner.request import prepare_by_hand
     from leactl.runner.session import execute
-    from leactl.runner.signals import to_the_end
+    from leactl.runner.stop_requests import to_the_end
 
     steps = endless_steps() if hold_s is None else reading_steps(hold_s)
     request = prepare_by_hand("read", steps, bench, setup, out, realtime, served, bus, everything=True)

@@ -36,7 +36,7 @@ def scan(
     from leactl.errors import DeviceError, InputError, Stopped
     from leactl.report import scan as scan_report
     from leactl.runner.scan import ScannedWire, named_wires, scan, wires_of_this_machine
-    from leactl.runner.signals import listening
+    from leactl.runner.stop_requests import listening
 
     if as_json and as_yaml:
         raise InputError("--json and --yaml are both given; one was expected")

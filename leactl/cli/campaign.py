@@ -138,7 +138,7 @@ def run(
     from leactl.runner.campaign.conduct import CampaignOptions, conduct
     from leactl.runner.campaign.entries import previews
     from leactl.runner.campaign.folder import resumable
-    from leactl.runner.signals import to_the_end
+    from leactl.runner.stop_requests import to_the_end
 
     campaign, folder, entries = _read(name, variant, seed, out, operator, realtime, served, bus)
     if dry_run:

@@ -89,11 +89,11 @@ def diagnose_runs(
     from leactl.gap.simulated.request import answer_of
     from leactl.report.gap import print_diagnosis
     from leactl.report.gap_files import STDOUT, Outputs
-    from leactl.report.steps import Steps
+    from leactl.report.progress_line import ProgressLine
 
     outputs = Outputs(json_out, html, write_model)
     outputs.check([*runs, *held_out, *simulated, *([] if model is None else [model])])
-    with Steps() as step:
+    with ProgressLine() as step:
         answer = answer_of(runs, held_out, model, simulated, step)
         step("writing")
         outputs.write(answer)
@@ -193,12 +193,12 @@ def demo(
     from leactl.report.gap_demo import demonstration_json as document
     from leactl.report.gap_demo import demonstration_lines, files_of, page
     from leactl.report.gap_files import publish
-    from leactl.report.steps import Steps
+    from leactl.report.progress_line import ProgressLine
 
     if seed is None:
         seed = randbelow(MOST_SEEDS)
     files = files_of(out or Path(f"leactl-gap-demo-{seed}"))
-    with Steps() as step:
+    with ProgressLine() as step:
         step("planting an effect and running the emulated bench")
         make(1, files.bench, files.key, seed, ("single",), [effect] if effect else None, ("plain", "strong"), "bench")
         demonstration = demonstrate(files.bench, files.answer, lambda: read_key(files.key, files.bench), step)
@@ -229,9 +229,9 @@ def loop(
     """Close the loop in your own MuJoCo model: play runs, diagnose, patch, play held-out runs again."""
     from leactl.exchange.loop import LoopFiles, close_loop
     from leactl.report.gap_listings import closed_loop_lines
-    from leactl.report.steps import Steps
+    from leactl.report.progress_line import ProgressLine
 
-    with Steps() as step:
+    with ProgressLine() as step:
         closed = close_loop(LoopFiles(robot, runs, held_out, out, callbacks, write_model), joint, supply, step)
     typer.echo(json.dumps(closed.as_json()) if as_json else "\n".join(closed_loop_lines(closed)))
 
@@ -259,12 +259,12 @@ def make_blind(
     from leactl.emulation.blind.make import make as make_benches
     from leactl.errors import InputError
     from leactl.joints.make import make as make_machines
-    from leactl.report.steps import Steps
+    from leactl.report.progress_line import ProgressLine
 
     if machines is None and simulator is not None:
         raise InputError(f"--simulator {simulator}: simulates drawn machines; add --machines")
     key_folder, chosen_kinds = key or out.with_name(f"{out.name}-key"), kinds or KINDS
-    with Steps() as step:
+    with ProgressLine() as step:
         if machines is None:
             digest = make_benches(cases, out, key_folder, seed=seed, kinds=chosen_kinds, progress=step)
         else:
@@ -300,7 +300,7 @@ def score_blind(
     from leactl.gap.blind.score import score
     from leactl.report.blind import markdown
     from leactl.report.blind import score_json as document
-    from leactl.report.steps import Steps
+    from leactl.report.progress_line import ProgressLine
     from leactl.runfile.publish import new_file, refuse_existing
     from leactl.scheduler import workers_of
 
@@ -311,7 +311,7 @@ def score_blind(
     case_sets = Cases.side_by_side(cases, key, answers)
     if out in [case_set.answers for case_set in case_sets]:
         raise InputError(f"--out {out}: is the folder that the answers go to; the name of a file was expected")
-    with Steps() as step, workers_of(processes, scheduler) as workers:
+    with ProgressLine() as step, workers_of(processes, scheduler) as workers:
         marks = check(case_sets, read_key, workers, step)
     scores = score(marks)
     options = " ".join(f"--cases {case_set.runs.name} --key {case_set.key.name}" for case_set in case_sets)

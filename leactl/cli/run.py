@@ -106,7 +106,7 @@ def run(
     from leactl.runner.acceptance import judge_all
     from leactl.runner.event_lines import STDOUT, EventLines
     from leactl.runner.request import prepare
-    from leactl.runner.signals import to_the_end
+    from leactl.runner.stop_requests import to_the_end
 
     request = prepare(protocol, bench, settings, actuator, condition, operator, out, realtime, served, bus)
     plan = replace(request.plan, attended=attended or request.plan.attended)

@@ -93,11 +93,11 @@ def index_runs(
 ) -> None:
     """Make the index of a directory or bring it up to date: only files that are new or changed are opened."""
     from leactl.processes import Workers
+    from leactl.report.progress_line import ProgressLine
     from leactl.report.run_list import run_list
-    from leactl.report.steps import Steps
     from leactl.runfile.catalog.run_index import update
 
-    with Steps() as step, Workers(processes) as workers:
+    with ProgressLine() as step, Workers(processes) as workers:
         path, catalogue = update(directory, index, remark, workers, step)
     faulty = [run for run in catalogue.runs if run.fault]
     if as_json:
@@ -153,14 +153,14 @@ def trend(
     """Follow a result from run to run, with control limits: has this actuator changed?"""
     from leactl.analysis.analyze import numbers
     from leactl.analysis.trend import trend as trend_of
-    from leactl.report.steps import Steps
+    from leactl.report.progress_line import ProgressLine
     from leactl.report.terminal import encoding_of_stdout
     from leactl.report.trend import trend_text
     from leactl.runfile.catalog.summaries import run_files
     from leactl.scheduler import workers_of
 
     options = numbers(settings)
-    with Steps() as step, workers_of(processes, scheduler) as workers:
+    with ProgressLine() as step, workers_of(processes, scheduler) as workers:
         paths = run_files(runs or [Path("runs")])
         result_trend = trend_of(paths, result, actuator, condition, baseline, step, workers, **options)
     typer.echo(

@@ -207,7 +207,7 @@ def commission(
     from leactl.runner.commission import CommissionOptions
     from leactl.runner.commission import commission as commissioned
     from leactl.runner.request import prepare
-    from leactl.runner.signals import to_the_end
+    from leactl.runner.stop_requests import to_the_end
 
     target = file or Path(f"{actuator.replace('/', '-')}.yaml")
     check_files([target], given)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from leactl.analysis.analyze import refuse_altered, refuse_repeated, remarks_on
-from leactl.analysis.quality.gate import channel_doubts
+from leactl.analysis.quality.channel_plausibility import channel_doubts
 from leactl.errors import InputError
 from leactl.gap.thermal_fit import ThermalFit, lacking, thermal_fit
 from leactl.model.motor import Motor

@@ -16,7 +16,7 @@ import yaml
 
 from leactl.analysis.analyze import refuse_altered, refuse_repeated
 from leactl.analysis.heating.narrowing import Accuracy, narrowed
-from leactl.analysis.quality.gate import channel_doubts
+from leactl.analysis.quality.channel_plausibility import channel_doubts
 from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
 from leactl.runfile.publish import replacement

@@ -32,8 +32,8 @@ from leactl.protocol.plan import (
 from leactl.runner.commanded import Commanded
 from leactl.runner.criterion import Judge
 from leactl.runner.flushing import Recording
-from leactl.runner.signals import People
 from leactl.runner.step_outcomes import Outcomes
+from leactl.runner.stop_requests import People
 from leactl.runner.watchdog import CYCLES, Unwatched, hung
 from leactl.safety.supervisor import Supervisor
 

@@ -31,7 +31,7 @@ from leactl.runner.progress import Progress
 from leactl.runner.request import Request
 from leactl.runner.run_head import introduce, warn_of_bench, writer_of
 from leactl.runner.runs_underway import Announcement
-from leactl.runner.signals import Operator, People, StopSource, Wishes, listening
+from leactl.runner.stop_requests import Operator, People, StopSource, Wishes, listening
 from leactl.runner.thermal_admission import Windings
 from leactl.runner.watchdog import Unwatched, beside
 from leactl.safety.supervisor import Supervisor

@@ -18,7 +18,7 @@ from leactl.runner.loop import Loop
 from leactl.runner.operators import granted
 from leactl.runner.progress import Progress
 from leactl.runner.request import Request, prepare
-from leactl.runner.signals import People, StopRequest, Wishes
+from leactl.runner.stop_requests import People, StopRequest, Wishes
 from leactl.runner.watchdog import Unwatched
 from leactl.safety.supervisor import Axis, Supervisor
 from tests.benchmarks.replay import RehearsedBus

@@ -12,7 +12,7 @@ import pytest
 from leactl.errors import DeviceError, InputError, Stopped
 from leactl.report.datasheet.make import DatasheetOutputs, make
 from leactl.report.pdf import print_pdf
-from leactl.report.steps import Steps
+from leactl.report.progress_line import ProgressLine
 from tests.analysis.synthetic import Bench
 from tests.cli.terminal import leactl
 from tests.report.browser import needs_chromium
@@ -125,7 +125,7 @@ class Interrupted:
 
 def test_a_ctrl_c_that_a_finalizer_swallows_ends_at_the_next_step_without_a_trace(capsys):
     before = sys.unraisablehook
-    with pytest.raises(Stopped), Steps() as step:
+    with pytest.raises(Stopped), ProgressLine() as step:
         held = [Interrupted()]
         held.clear()
         step("fitting")

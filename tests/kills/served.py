@@ -10,7 +10,7 @@ import sys
 from leactl.bench import benchfile
 from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.emulation.wires.serving import bridged, serve
-from leactl.runner.signals import listening
+from leactl.runner.stop_requests import listening
 
 FLOWING_A = 0.05
 STEPS_PER_S = 1000

@@ -14,7 +14,7 @@ from leactl.runner.flushing import Recording
 from leactl.runner.loop import Loop
 from leactl.runner.operators import granted
 from leactl.runner.progress import Progress
-from leactl.runner.signals import People, StopRequest, Wishes
+from leactl.runner.stop_requests import People, StopRequest, Wishes
 from leactl.runner.thermal_admission import guard_settings, motors_of
 from leactl.runner.watchdog import Unwatched
 from leactl.safety.current_tracking import VoltageNeed

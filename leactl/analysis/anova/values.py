@@ -24,7 +24,7 @@ from leactl.analysis.analyze import (
     remarks_on,
 )
 from leactl.analysis.estimate import Estimate, Noted, joined, listed
-from leactl.analysis.quality.gate import channel_doubts
+from leactl.analysis.quality.channel_plausibility import channel_doubts
 from leactl.errors import InputError, NotIdentifiable
 from leactl.regular_files import open_regular
 from leactl.runfile.read.reader import Run, Step

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Grid, Noted, Plot, Result, Series, listed, tally
-from leactl.analysis.quality.gate import AT_REST
+from leactl.analysis.quality.channel_plausibility import AT_REST
 from leactl.analysis.responses.channel_response import EXCITATIONS, gain_and_phase
 from leactl.analysis.signals.levels import FEWEST_SAMPLES, settled_mean, span, standard_error
 from leactl.analysis.statistics.regression import CONFIDENCE, Array, t_quantile

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.analysis.estimate import NAN, Noted, listed
-from leactl.analysis.quality.gate import hanging
+from leactl.analysis.quality.channel_plausibility import hanging
 from leactl.analysis.quality.hanging import longest_repeat
 from leactl.analysis.quality.saturation import clipped
 from leactl.errors import InputError, MissingChannel, NotIdentifiable

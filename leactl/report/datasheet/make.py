@@ -12,7 +12,7 @@ from leactl.report.datasheet.runset import RunSet, check_options, read_runs
 from leactl.report.datasheet.sheet import Datasheet
 from leactl.report.outputs import check_files
 from leactl.report.pdf import browser, print_pdf
-from leactl.report.steps import Steps
+from leactl.report.progress_line import ProgressLine
 from leactl.runfile.publish import replacement
 
 
@@ -66,7 +66,7 @@ def make(
     """
     check_options(options)
     outputs.check([*runs, *compared])
-    with Steps() as step:
+    with ProgressLine() as step:
         prefixes = ("A", "B") if compared else ("R",)
         groups = (runs, compared) if compared else (runs,)
         sets = tuple(read_runs(paths, prefix, options, step) for paths, prefix in zip(groups, prefixes, strict=True))

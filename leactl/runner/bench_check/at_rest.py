@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from leactl.analysis.quality.gate import AT_REST, MISSING, NEVER_ZERO, NOT_MEASURED
+from leactl.analysis.quality.channel_plausibility import AT_REST, MISSING, NEVER_ZERO, NOT_MEASURED
 from leactl.analysis.quality.repeated_readings import FEWEST_REPEATS
 from leactl.runfile.read.reader import Channel, Run
 from leactl.runner.bench_check.statement import Statement, StatementVerdict

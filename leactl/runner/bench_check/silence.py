@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from leactl.analysis.quality.gate import NOT_MEASURED
+from leactl.analysis.quality.channel_plausibility import NOT_MEASURED
 from leactl.runfile.read.reader import Run
 from leactl.safety.limits import Limits
 

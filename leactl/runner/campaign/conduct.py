@@ -25,7 +25,7 @@ from leactl.runner.dry_run import Preview
 from leactl.runner.operators import at_the_terminal
 from leactl.runner.outcome import Outcome
 from leactl.runner.request import Request
-from leactl.runner.signals import between_runs
+from leactl.runner.stop_requests import between_runs
 from leactl.runner.thermal_admission import Windings
 
 POLL_INTERVAL_S = 0.05  # of the keyboard and of signals, between two runs

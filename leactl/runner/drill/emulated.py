@@ -39,7 +39,7 @@ from leactl.runner.operators import granted
 from leactl.runner.outcome import Outcome
 from leactl.runner.request import prepare_by_hand
 from leactl.runner.session import execute
-from leactl.runner.signals import between_runs
+from leactl.runner.stop_requests import between_runs
 
 MOST_CURRENT_A, MOST_VELOCITY_RAD_S = 4.0, 5.0  # or a quarter of the bench's limits if that is less
 HELD_BEFORE_S = 0.3  # from the start of the held step to the fault

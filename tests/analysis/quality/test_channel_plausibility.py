@@ -5,7 +5,7 @@ import pytest
 
 from leactl.analysis.analyze import analyze_each, analyze_runs
 from leactl.analysis.anova.values import values_of_runs
-from leactl.analysis.quality.gate import channel_doubts
+from leactl.analysis.quality.channel_plausibility import channel_doubts
 from leactl.errors import InputError
 from leactl.processes import Workers
 from leactl.runfile.read.reader import Run

@@ -1,4 +1,4 @@
-"""Steps of a long computation on stderr: one line that is rewritten on a terminal, plain lines anywhere else."""
+"""ProgressLine of a long computation on stderr: one line that is rewritten on a terminal, plain lines anywhere else."""
 
 import signal
 import sys
@@ -12,7 +12,7 @@ from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from leactl.errors import Stopped
 
 
-class Steps:
+class ProgressLine:
     """Shows the steps of a computation as it is called with the name of each, and at the end the total duration.
 
     Raises

@@ -1,9 +1,9 @@
 """Judge every measured channel of a run by its demand, its noise and its neighbours before an analysis reads it.
 
-A channel that contradicts its demand throughout is condemned: an analysis that reads it is refused with the reason, and
-if no analysis reads it, the reason is a note. A channel that repeats one reading for a part of the record, or lacks
-readings, gets a note. No threshold has a unit or depends on the sampling rate, except the plausible ambient
-temperatures.
+A channel is condemned where it contradicts its demand throughout, has the wrong sign, is zero throughout, or, for a line
+current, repeats a reading other than zero for a part of the record: an analysis that reads it is refused with the
+reason, and if no analysis reads it, the reason is a note. Whatever is less gives a note. No threshold has a unit or
+depends on the sampling rate, except the plausible ambient temperatures.
 """
 
 from collections.abc import Iterator
