@@ -1,7 +1,7 @@
 """Judge every measured channel of a run by its demand, its noise and its neighbours before an analysis reads it.
 
-A channel is condemned where it contradicts its demand throughout, has the wrong sign, is zero throughout, or, for a line
-current, repeats a reading other than zero for a part of the record: an analysis that reads it is refused with the
+A channel is condemned where it contradicts its demand throughout, has the wrong sign, is zero throughout, or, for a
+line current, repeats a reading other than zero for a part of the record: an analysis that reads it is refused with the
 reason, and if no analysis reads it, the reason is a note. Whatever is less gives a note. No threshold has a unit or
 depends on the sampling rate, except the plausible ambient temperatures.
 """
