@@ -6,8 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from leactl.gap.search.ringing import FULL, SEGMENT, highest_bin, highest_line, periodograms
+from leactl.effects.contract import Signals
+from leactl.gap.search.regression import Rows
+from leactl.gap.search.ringing import FULL, SEGMENT, highest_bin, highest_line, periodograms, unfollowed
 from leactl.gap.verdict.judge import LINE
+from leactl.model.nominal import Model
 
 ROWS = 12_000
 
@@ -59,3 +62,20 @@ def test_a_tone_of_many_quiet_segments_stays_a_line_beside_a_loud_run(loudness, 
 
 def test_segments_without_any_power_make_no_line():
     assert highest_line([np.zeros(SEGMENT // 2 + 1)] * 9) == (0, 0.0)
+
+
+@pytest.mark.parametrize(("equation", "left"), [("velocity", False), ("free_torque", True)])
+def test_what_a_filter_leaves_of_a_motion_is_no_line_of_a_velocity(equation, left):
+    """A velocity filter that the model has a tenth of a percent off leaves the lines of the motion itself."""
+    time = 0.0025 * np.arange(ROWS)
+    motion = 5.0 * np.sin(2.0 * np.pi * 43.75 * time)  # at bin 7
+    own = 0.02 * np.sin(2.0 * np.pi * 125.0 * time)  # at bin 20, where nothing moves
+    residual = 1e-3 * np.gradient(motion) + 1e-3 * np.random.default_rng(2).standard_normal(ROWS)
+    signals = Signals("free", time, Model(name="m"), 0.0025, velocity=motion)
+    index = np.arange(ROWS)
+    rows = Rows("r", "k", "free", equation, "velocity", "test", "rad/s", residual, {}, {}, index, index, signals, 1e-3)
+    found, height = highest_bin(spectrum(unfollowed(rows, residual)))
+    assert (found == 7 and height > LINE) is left
+    found, height = highest_bin(spectrum(unfollowed(rows, residual + own)))
+    assert height > LINE
+    assert found == 20 or left

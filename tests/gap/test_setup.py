@@ -18,11 +18,14 @@ from leactl.gap.setup import (
     swapped_channels,
 )
 from leactl.gap.setup.conventions import convention
+from leactl.gap.setup.expected_channels import direct_pairs, modelled_pairs
 from leactl.gap.setup.faulty_samples import at_ends, period_of
-from leactl.gap.signals.record import Clocked
+from leactl.gap.signals.record import Clocked, build
 from leactl.joints.make import draw_machines, draw_runs
+from leactl.quantities import UNITS
+from leactl.vocabulary.variable import VARIABLES
 from tests.gap.drawn_machines import case_of, write_cases
-from tests.gap.joints import Log, case, drawn_joint
+from tests.gap.joints import Log, case, channels, drawn_joint
 
 VELOCITY = ("velocity", "test")
 STRONG_SPRING = 14002, 117  # seeds of a set of machines and of a case, whose spring looks like a factor of 2 pi
@@ -193,3 +196,18 @@ def test_a_fault_is_not_named_where_an_effect_explains_the_runs_as_they_were_log
     assert [fault.as_cause().effect for fault in faults] == ["channel_scale"]
     found = diagnose(sprung)
     assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["position_spring"]
+
+
+@pytest.mark.parametrize("mechanical", ["free", "locked"])
+def test_an_error_is_drawn_over_values_of_the_variable_that_the_picture_names(mechanical):
+    random = np.random.default_rng(4)
+    joint = drawn_joint(random)
+    model = joint.model(random).model_copy(update={"phase_resistance": 0.4})
+    made = channels(joint, Log(), "multisine", random)
+    current = next(channel for channel in made if channel.quantity == "q_axis_current")
+    voltage = replace(current, quantity="q_axis_voltage", units="V")
+    record = build(Path("a.h5"), "multisine", mechanical, [*made, voltage], {})
+    pairs = [*direct_pairs(record, model), *modelled_pairs(record, model)]
+    assert {pair.key[0] for pair in pairs} >= {"q_axis_voltage", "q_axis_current"}
+    for pair in pairs:
+        assert pair.drawn_over is not None or UNITS[pair.key[0]] == VARIABLES[pair.variable].units

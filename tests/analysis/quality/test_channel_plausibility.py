@@ -1,11 +1,13 @@
 """A dead, hanging, turned or misread channel is refused by name or is the first note; a sound one passes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from leactl.analysis.analyze import analyze_each, analyze_runs
 from leactl.analysis.anova.values import values_of_runs
-from leactl.analysis.quality.channel_plausibility import channel_doubts
+from leactl.analysis.quality.channel_plausibility import channel_doubts, demand_of
 from leactl.errors import InputError
 from leactl.processes import Workers
 from leactl.runfile.read.reader import Run
@@ -141,3 +143,15 @@ def test_regions_that_warm_one_after_the_other_are_not_turned(tmp_path, heat_s):
     assert doubts(path) == []
     place = rewritten(path, tmp_path / "turned", "camera/active_1", turned)
     assert any("winding_temperature of test at active_1" in note and "sign is turned" in note for note in doubts(place))
+
+
+def test_a_hold_that_states_no_role_is_no_demand_of_the_load(tmp_path):
+    """Holds of imported runs state none; in a coupled rig the load's current may have the other sign."""
+    time = np.arange(4000) / 100.0
+    path = Bench(tmp_path).write(
+        "friction", time, {"q_axis_current": np.ones(4000)}, [("hold", 0.0, 40.0, 0.0, {"current_A": 1.0})]
+    )
+    with Run.open(path) as run:
+        channel = run.channel("q_axis_current", role="test")
+        assert demand_of(run, channel) is not None
+        assert demand_of(run, replace(channel, role="load")) is None
