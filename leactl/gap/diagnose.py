@@ -33,6 +33,7 @@ from leactl.gap.verdict.decision import LISTED, NAMED, UNKNOWN, verdict_of
 from leactl.gap.verdict.judge import (
     Judged,
     RunRatios,
+    Unexplained,
     judge,
     left_by_form,
     unexplained,
@@ -263,20 +264,13 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         refit = partial(fitted_by_sets, parameters)
         records_left_out = [record for record in case.fitted if record not in free_runs]
         set_notes = servo_answer.rig_note(fitted_sets, case.model.load.type == "pendulum", records_left_out)
-    elif outweighed(evidence, in_sound_noise, unrest_by_channel, lines):
-        set_notes += tuple(
-            f"not named: {item.finding.effect}; too much is left beside what it explains" for item in judged
-        )
-        causes = tuple(replace(c, probability=c.probability * (1.0 - surprise.probability)) for c in causes)
-    elif surprise.probability >= UNKNOWN and surprise.channel is not None and surprise.channel[0] == "current":
-        # where a limit acts, the current is the limit's: what is left beside it shows that it is another law's
-        limits = [item.finding.effect for item in judged if library()[item.finding.effect].limits_current]
-        set_notes += tuple(
-            f"not named: {name}; where a limit of the drive acts, nothing is left of the current" for name in limits
-        )
+    else:
+        doubts = doubted_beside(evidence, in_sound_noise, causes, surprise, (unrest_by_channel, lines))
+        set_notes += tuple(f"not named: {name}; {reason}" for name, reason in doubts.items() if name in members)
+        in_doubt = 1.0 - surprise.probability
         causes = tuple(
-            replace(c, probability=c.probability * (1.0 - surprise.probability)) if c.effect in limits else c
-            for c in causes
+            replace(cause, probability=cause.probability * in_doubt) if cause.effect in doubts else cause
+            for cause in causes
         )
     named = [cause for cause in causes if cause.probability >= NAMED and cause.effect in members]
     progress("simulating again")
@@ -408,6 +402,27 @@ def left_over(evidence: Evidence, result: EffectSet) -> tuple[RunRatios, dict[Ch
     searched_rows = [not left_by_form(result, index) for index in range(len(evidence.stack.rows))]
     lines = ringing(evidence, evidence.settle(result.hypothesis), searched_rows)
     return unrest_of_runs(evidence, result), lines
+
+
+def doubted_beside(
+    evidence: Evidence,
+    result: EffectSet,
+    causes: Sequence[Cause],
+    surprise: Unexplained,
+    signs: tuple[Mapping[Channel, float], Mapping[Channel, Line]],
+) -> dict[str, str]:
+    """Return the causes that an unexplained residual puts in doubt, by effect, with the reason.
+
+    signs : unrest and highest spectral line of each channel.
+    """
+    effects = [cause.effect for cause in causes]
+    if outweighed(evidence, result, *signs):
+        return dict.fromkeys(effects, "too much is left beside what it explains")
+    if surprise.probability < UNKNOWN or surprise.channel is None or surprise.channel[0] != "current":
+        return {}
+    # where a limit acts, the current is the limit's: what is left of it shows another law
+    reason = "where a limit of the drive acts, nothing is left of the current"
+    return dict.fromkeys((effect for effect in effects if library()[effect].limits_current), reason)
 
 
 def outweighed(

@@ -62,10 +62,16 @@ class HeldOutTrials:
         fitted = self.refit([*kept.causes, *stage])
         by_equations = all(cause.effect in self.borne_out_by_equations for cause in stage)
         limits_current = any(library()[cause.effect].limits_current for cause in stage)
-        how = bool(kept.causes), by_equations, limits_current
-        trial = self._of(fitted, model_before, *how)
+        judged = partial(
+            self._of,
+            model_before=model_before,
+            beside_others=bool(kept.causes),
+            by_equations=by_equations,
+            limits_current=limits_current,
+        )
+        trial = judged(fitted)
         if trial.refused_because == GAP_GROWS:
-            trial = self._of(fitted._replace(calibration=kept.calibration), model_before, *how)
+            trial = judged(fitted._replace(calibration=kept.calibration))
         return trial
 
     def is_needed(self, stage: Sequence[Cause], whole: HeldOutTrial) -> bool:

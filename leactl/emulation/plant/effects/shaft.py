@@ -27,10 +27,10 @@ class PlantBacklash(PlantEffect):
 class PlantShaftCompliance(PlantEffect):
     """A shaft or sensor much softer than the model's.
 
-    Shaft stiffness that replaces the bench's.
+    The stiffness of shaft and torque sensor in series, in place of the bench's.
     """
 
-    stiffness: float = bounded(6000.0, 1.0, 1e7)
+    stiffness: float = bounded(6000.0, 1.0, 1e7)  # N*m/rad
 
     def shaft_stiffness(self, nominal: Value) -> Value:
         """Return this stiffness in place of the nominal one."""
