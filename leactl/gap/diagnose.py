@@ -265,11 +265,11 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         records_left_out = [record for record in case.fitted if record not in free_runs]
         set_notes = servo_answer.rig_note(fitted_sets, case.model.load.type == "pendulum", records_left_out)
     else:
-        doubts = doubted_beside(evidence, in_sound_noise, causes, surprise, (unrest_by_channel, lines))
+        doubts = doubted_by_residual(evidence, in_sound_noise, causes, surprise, (unrest_by_channel, lines))
         set_notes += tuple(f"not named: {name}; {reason}" for name, reason in doubts.items() if name in members)
-        in_doubt = 1.0 - surprise.probability
+        trust = 1.0 - surprise.probability
         causes = tuple(
-            replace(cause, probability=cause.probability * in_doubt) if cause.effect in doubts else cause
+            replace(cause, probability=cause.probability * trust) if cause.effect in doubts else cause
             for cause in causes
         )
     named = [cause for cause in causes if cause.probability >= NAMED and cause.effect in members]
@@ -404,7 +404,7 @@ def left_over(evidence: Evidence, result: EffectSet) -> tuple[RunRatios, dict[Ch
     return unrest_of_runs(evidence, result), lines
 
 
-def doubted_beside(
+def doubted_by_residual(
     evidence: Evidence,
     result: EffectSet,
     causes: Sequence[Cause],
@@ -420,8 +420,8 @@ def doubted_beside(
         return dict.fromkeys(effects, "too much is left beside what it explains")
     if surprise.probability < UNKNOWN or surprise.channel is None or surprise.channel[0] != "current":
         return {}
-    # where a limit acts, the current is the limit's: what is left of it shows another law
-    reason = "where a limit of the drive acts, nothing is left of the current"
+    # a limit alone says what the current is: a residual of the current shows another law
+    reason = "a limit of the drive would leave nothing of the current unexplained"
     return dict.fromkeys((effect for effect in effects if library()[effect].limits_current), reason)
 
 

@@ -13,10 +13,9 @@ from leactl.gap.verdict.shrinkage import NEAR_FLOOR, Shrunk
 from leactl.model.nominal import Model
 
 GAP_GROWS = "with it the gap of held-out runs grows"
-GROWN = 1.001  # ratio of squared distances to held-out runs up to which they are equal: replays differ by as much
-LIMIT_CLOSES = (
-    0.9  # smallest share of the current's gap that a limit of the drive closes; laws that resemble it close less
-)
+GROWN = 1.001  # squared distances within this ratio count as equal: replays vary by as much
+# a limit of the drive closes this share of the current's gap or more; laws that resemble it close less
+LIMIT_CLOSES = 0.9
 Simulate = Callable[[Model, Model], Shrunk]
 """Compares held-out runs with a calibrated and an augmented model."""
 
@@ -54,7 +53,7 @@ class HeldOutTrials:
     def beside(self, kept: FittedEffects, model_before: Model, stage: Sequence[Cause]) -> HeldOutTrial:
         """Try effects in addition to the accepted ones.
 
-        If the calibration fitted with the effects makes a gap grow elsewhere, the accepted one is tried as well.
+        If the gap grows with the calibration fitted beside them, they are tried again with the accepted calibration.
 
         kept : effects and calibration accepted so far.
         model_before : model with these alone.
@@ -62,16 +61,16 @@ class HeldOutTrials:
         fitted = self.refit([*kept.causes, *stage])
         by_equations = all(cause.effect in self.borne_out_by_equations for cause in stage)
         limits_current = any(library()[cause.effect].limits_current for cause in stage)
-        judged = partial(
+        try_with = partial(
             self._of,
             model_before=model_before,
             beside_others=bool(kept.causes),
             by_equations=by_equations,
             limits_current=limits_current,
         )
-        trial = judged(fitted)
+        trial = try_with(fitted)
         if trial.refused_because == GAP_GROWS:
-            trial = judged(fitted._replace(calibration=kept.calibration))
+            trial = try_with(fitted._replace(calibration=kept.calibration))
         return trial
 
     def is_needed(self, stage: Sequence[Cause], whole: HeldOutTrial) -> bool:
@@ -244,7 +243,7 @@ def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool, by_equa
     if bounded:
         return f"calibration beside it ends at a bound ({', '.join(bounded)})"
     gap_before, gap_after = (squares(shrunk, name, NEAR_FLOOR) for name in ("calibrated_rms", "augmented_rms"))
-    if shrunk.growth.effects_worse or gap_after > GROWN * gap_before:
+    if shrunk.growth.effects_worse or math.isnan(gap_after) or gap_after > GROWN * gap_before:
         return GAP_GROWS
     squares_before, squares_after = squares(shrunk, "calibrated_rms"), squares(shrunk, "augmented_rms")
     by_equations &= shrunk.growth.by_effects[0] <= 0.0 and squares_after <= squares_before
@@ -253,24 +252,22 @@ def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool, by_equa
     if beside_others and shrunk.growth.closed_alike is False and not by_equations:
         return "beside the others it shrinks the gap of few stretches of held-out runs, or of many by next to nothing"
     # runs too short to judge chance have to show at least that it shrinks
-    undecided = shrunk.growth.closed is None and shrunk.growth.by_effects[0] >= 0.0
+    undecided = shrunk.growth.closed is None and not shrunk.growth.by_effects[0] < 0.0
     return "with it no gap of held-out runs shrinks" if undecided else ""
 
 
 def refusal_of_limit(shrunk: Shrunk) -> str:
-    """Return why a limit of the drive is not what holds the current of held-out runs back; empty where it may be.
+    """Return why the current of held-out runs is not held back by a limit of the drive; empty where it may be.
 
-    Where a limit acts, the current is the limit's, whatever else the model lacks: what resembles it, such as a supply
-    whose voltage ends, closes a part of the gap and stays far off.
+    Where a limit acts, it alone says what the current is, so that it closes nearly all of the current's gap. A law that
+    resembles it, such as that of a supply at its voltage limit, closes a part.
     """
     for line in shrunk.shrinkage:
-        if line.quantity != "q_axis_current" or line.closed is None:
+        if line.quantity != "q_axis_current" or line.closed is None or not line.floor_rms > 0.0:
             continue
         if line.augmented_rms > REPLAY_MISS * line.floor_rms and line.closed < LIMIT_CLOSES:
-            share = f"{100 * line.closed:.0f} % of the current's gap"
-            return (
-                f"it closes {share}, {line.mechanical}; a limit of the drive closes {100 * LIMIT_CLOSES:.0f} % or more"
-            )
+            share = f"{100 * max(line.closed, 0.0):.1f} % of the current's gap, {line.mechanical}"
+            return f"it closes {share}; a limit of the drive closes {100 * LIMIT_CLOSES:.0f} % or more"
     return ""
 
 
