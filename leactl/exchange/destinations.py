@@ -33,9 +33,17 @@ ACTS_ON = {
     "transmission_error": "joint",
     "transport_delay": "drive",
     "unbalance": "joint",
+    "voltage_limit": CURRENT,
 }
 """What each effect of the callbacks acts on: the joint, a drive of either kind, or a drive of one kind."""
-IN_AMPERES = ("command_slew_limit", "current_sensor_offset", "power_foldback", "saturation", "torque_limit")
+IN_AMPERES = (
+    "command_slew_limit",
+    "current_sensor_offset",
+    "power_foldback",
+    "saturation",
+    "torque_limit",
+    "voltage_limit",
+)
 SECOND_BODY = "a second body behind the joint would have to be added"
 TEMPERATURES = "MuJoCo has no temperatures"
 REASON_OF_EFFECT = {

@@ -91,7 +91,7 @@ def _simulate(mujoco: Any, run: JointRun) -> JointSignals:
     ):
         reference = drive.reference(current, velocity)
         for part in range(PARTS):
-            drive_current = drive.step(reference, part, abs(state.qvel[0]))
+            drive_current = drive.step(reference, part, state.qvel[0])
             angle, speed = state.qpos[0], state.qvel[0]
             damping = effects.damping(state.time)
             model.dof_frictionloss[0] = motor_share * effects.friction(angle, speed, state.time)
@@ -124,6 +124,8 @@ class _Drive:
         self._offset = run.parameter("current_sensor_offset", "offset")
         self._slew = run.parameter("command_slew_limit", "rate", math.inf) * step
         self._bound = run.parameter("torque_limit", "current", math.inf)
+        self._stall_current = run.parameter("voltage_limit", "stall_current", math.inf)
+        self._no_load_speed = run.parameter("voltage_limit", "no_load_speed", math.inf)
         self._power_limit = run.parameter("power_foldback", "power", math.inf) / run.specimen.torque_constant
         delay_steps = round(run.parameter("transport_delay", "delay") / step)
         self._delayed = deque([0.0] * delay_steps)
@@ -142,13 +144,16 @@ class _Drive:
         return unlimited
 
     def step(self, reference: float, part: int, speed: float) -> float:
-        """Current that flows [A] after a step, at an absolute speed."""
+        """Current that flows [A] after a step."""
         if not self._log.holds:
             reference = self.before + (reference - self.before) * (part + 1) / PARTS
         self._delayed.append(reference)
         limited = self._delayed.popleft()
-        limit = min(self._bound, self._power_limit / speed) if speed > 0.0 else self._bound
+        limit = min(self._bound, self._power_limit / abs(speed)) if speed else self._bound
         limited = max(min(limited, limit), -limit)
+        back_emf_share = speed / self._no_load_speed
+        highest, lowest = (self._stall_current * (sign - back_emf_share) for sign in (1.0, -1.0))
+        limited = max(min(limited, highest), lowest)
         self._commanded += max(min(limited - self._commanded, self._slew), -self._slew)
         self._current += self._loop * (self._commanded - (self._current + self._offset))
         self._sum += self._current + self._offset

@@ -12,6 +12,7 @@ STRENGTHS = ("faint", "plain", "strong")
 SIZE_SPREAD = 0.15  # largest relative departure of a size from that of its strength
 SLOWEST_LEVEL = 0.03  # slowest held level, as a share of the highest speed
 SWINGS = (0.01, 0.04)  # natural frequency of an elastic load, as a share of the sampling rate
+NO_LOAD_SPEEDS = (1.1, 1.4)  # at the end of a drive's voltage, in the highest speed
 LOADS = (0.3, 0.8)  # inertia of a load behind a gear, as a share of the whole
 SAMPLES_A_PERIOD = 4.0  # needed by a periodic effect at the slowest level
 
@@ -96,6 +97,8 @@ def draw_secondary_parameters(draw: Generator, machine: JointMachine, name: str)
     if name == "gear_backlash":
         share = float(draw.uniform(*LOADS))
         return {"share": share, "friction": share * float(draw.uniform(0.0, 1.0))}
+    if name == "voltage_limit":
+        return {"no_load_speed": machine.speed * float(draw.uniform(*NO_LOAD_SPEEDS))}
     if name == "position_spring":
         reach = machine.speed * machine.seconds * float(draw.uniform(0.02, 0.1))
         return {"rest_angle": float(draw.uniform(-np.pi, np.pi)), "reach": reach}

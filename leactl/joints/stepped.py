@@ -88,6 +88,8 @@ class JointLanes:
         self.slew = effect("command_slew_limit", "rate", np.inf) * self.step
         self.bound = effect("torque_limit", "current", np.inf)
         self.power = effect("power_foldback", "power", np.inf)
+        self.stall_current = effect("voltage_limit", "stall_current", np.inf)
+        self.no_load_speed = effect("voltage_limit", "no_load_speed", np.inf)
         self.delay = np.rint(effect("transport_delay", "delay") / self.step).astype(int)
         self.queue = np.zeros((int(self.delay.max()) + 1, len(runs)))
         self.lane = np.arange(len(runs))
@@ -151,6 +153,8 @@ class JointLanes:
         late = self.queue[(self.steps - self.delay) % depth, self.lane]
         fast = np.maximum(np.abs(self.speed) * self.constant, TINY)
         late = np.clip(late, -np.minimum(self.bound, self.power / fast), np.minimum(self.bound, self.power / fast))
+        back_emf_share = self.speed / self.no_load_speed
+        late = np.clip(late, self.stall_current * (-1.0 - back_emf_share), self.stall_current * (1.0 - back_emf_share))
         self.limited = self.limited + np.clip(late - self.limited, -self.slew, self.slew)
         self.current = self.current + self.follows * (self.limited - self.current - self.offset)
         self.steps += 1

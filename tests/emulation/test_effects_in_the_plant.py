@@ -311,6 +311,14 @@ def power_foldback():
     assert slow.current[-1] == pytest.approx(off.current[-1], rel=1e-6)
 
 
+def voltage_limit():
+    parameters = {"stall_current": 16.0, "no_load_speed": 40.0}
+    on, _ = turning("voltage_limit", parameters, speed=20.0, current=15.0, seconds=0.1)
+    assert on.current[-1] == pytest.approx(16.0 * (1.0 - 20.0 / 40.0), rel=0.01)
+    braking, plain = turning("voltage_limit", parameters, speed=20.0, current=-15.0, seconds=0.1)
+    assert braking.current[-1] == pytest.approx(plain.current[-1], rel=1e-6)
+
+
 def torque_sensor_gain():
     on, off = turning("torque_sensor_gain", {"gain": 1.1}, speed=5.0, current=10.0, seconds=0.1)
     np.testing.assert_allclose(on.torque, 1.1 * off.torque)

@@ -37,6 +37,7 @@ PARAMETERS = {
     "torque_ripple": {"amplitude": 0.1, "order": 6.0, "phase": 1.0},
     "transport_delay": {"delay": 0.0037},
     "unbalance": {"amplitude": 0.5, "phase": -0.2},
+    "voltage_limit": {"stall_current": 3.0, "no_load_speed": 3.0},
 }
 IN_MOTION = ("dead_time", "presliding", "reference_rate_limit", "servo_dead_band")  # see test_round_trip
 READINGS = ("encoder_eccentricity", "transmission_error")

@@ -10,7 +10,7 @@ from unittest.mock import patch
 from leactl.emulation.blind import make as making
 from leactl.emulation.blind.draws import usual_effects
 
-EVERY = (*usual_effects(), "power_foldback", "torque_limit")
+EVERY = (*usual_effects(), "power_foldback", "torque_limit", "voltage_limit")
 OFTEN = ("torque_ripple",)  # what an ordinary run tries; all of them are a long one
 SEED, FEW = 16, 3  # of what no effect explains: the resonator is among the first three
 SETS = {

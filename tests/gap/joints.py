@@ -63,8 +63,7 @@ class Effect:
 
     delay: int = 0  # samples, by which the reference acts late
     slew: float = np.inf  # A/s, that the drive follows its reference with
-    stalled: float = np.inf  # A, that the drive's voltage drives through the motor at rest
-    unloaded: float = np.inf  # rad/s, at which its voltage drives none
+    limits: Callable[[float], tuple[float, float]] | None = None  # A, lowest and highest current at a speed
     loss: float = 0.0  # of the torque constant at the highest current, growing with its square
     drag: Callable[[float], float] = lambda speed: 0.0  # N*m, against the motion
     ripple: Callable[[float], float] = lambda angle: 0.0  # of the torque, beside what the constant says
@@ -167,7 +166,7 @@ def simulated(joint, log, asked, effect):
     constant, inertia, damping, top = map(float, (joint.constant, joint.inertia, joint.damping, joint.top))
     held, fastest = joint.friction * step / inertia, effect.slew * step
     drag, ripple, loss = effect.drag, effect.ripple, effect.loss
-    stalled, unloaded = float(effect.stalled), float(effect.unloaded)
+    limits = effect.limits
     dragged, whole = drag is not SOUND.drag, loss == SOUND.loss and ripple is SOUND.ripple
     straight, smooth = not log.held, not log.filtered_by_samples
     out = []
@@ -177,10 +176,10 @@ def simulated(joint, log, asked, effect):
             wanted = before + (value - before) * (part + 1) / PARTS if straight else value
             onward = wanted - limited
             limited += onward if -fastest <= onward <= fastest else fastest if onward > 0.0 else -fastest
-            used = speed / unloaded  # share of the voltage
-            driven = (
-                limited if stalled == np.inf else min(max(limited, stalled * (-1.0 - used)), stalled * (1.0 - used))
-            )
+            driven = limited
+            if limits is not None:
+                lowest, highest = limits(speed)
+                driven = min(max(limited, lowest), highest)
             flowing += follows * (driven - flowing)
             share = 1.0 if whole else 1.0 - loss * (flowing / top) ** 2 + ripple(angle)
             torque = constant * flowing * share - damping * speed - (drag(speed) if dragged else 0.0)

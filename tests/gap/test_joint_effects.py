@@ -23,6 +23,7 @@ JOINTS = [  # an effect, and the kind of machine that has it
     ("torque_limit", "geared_joint"),
     ("power_foldback", "wheel_motor"),
     ("position_spring", "spindle"),
+    ("voltage_limit", "drone_motor"),
 ]
 ONE_WAY = [6, 3]  # seeds
 SHARES = [  # effect, parameter, what of the model it goes with, kind of machine, seed, and how near it is to the truth
@@ -73,6 +74,7 @@ NUMBERS = {  # a parameter of each effect, and how near it is to the truth
     "torque_limit": ("current", 0.05),
     "power_foldback": ("power", 0.1),
     "position_spring": ("stiffness", 0.3),
+    "voltage_limit": ("no_load_speed", 0.05),
 }
 
 

@@ -67,6 +67,7 @@ CASES = [
     ("transport_delay", {"delay": 0.004}, "locked", SHAKEN | {CURRENT}),
     ("unbalance", {"amplitude": 0.1, "phase": 0.2}, "free", {VELOCITY, VOLTAGE}),
     ("velocity_filter_lag", {"time_constant": 0.02}, "free", {VELOCITY}),
+    ("voltage_limit", {"stall_current": 12.0, "no_load_speed": 50.0}, "coupled", TURNING | {CURRENT} | WARM),
 ]
 OFFSET = ("current_sensor_offset", {"offset": 0.3})
 # a channel moves where it changes by more than this, or by more than this share of its swing

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -334,15 +335,50 @@ def test_the_recipe_of_the_readme_names_nothing_that_is_not_there(tmp_path, monk
     assert answer["verdict"] != "effect"
 
 
-@pytest.mark.parametrize(
-    "seed", [41, 46, *(pytest.param(seed, marks=pytest.mark.long) for seed in (40, 42, 43, 45, 47))]
-)
-def test_a_voltage_that_ends_is_no_limit_of_the_drive(seed):
-    """A hyperbola and a cap resemble the line to which a voltage limits a current over speed, and are not it."""
+def limited(seed, stall_share, speed_share, limits):
+    """Diagnosis of a drawn joint whose current has limits over its speed; its true stall current and no-load speed."""
     random = np.random.default_rng(seed)
     joint = drawn_joint(random)
-    fastest = joint.constant * joint.top / joint.damping
-    found = diagnose(case(joint, Log(), random, Effect(stalled=1.5 * joint.top, unloaded=1.1 * fastest)))
+    stall = stall_share * joint.top
+    no_load = speed_share * joint.constant * joint.top / joint.damping
+    return diagnose(case(joint, Log(), random, Effect(limits=partial(limits, stall, no_load)))), stall, no_load
+
+
+def of_a_voltage(stall, no_load, speed):
+    back_emf = stall * speed / no_load
+    return -stall - back_emf, stall - back_emf
+
+
+def of_an_ellipse(stall, no_load, speed):
+    highest = stall * np.sqrt(max(1.0 - (speed / no_load) ** 2, 0.0))
+    return -highest, highest
+
+
+@pytest.mark.parametrize(
+    ("seed", "stall_share", "speed_share"),
+    [
+        (41, 1.5, 1.1),
+        (53, 8.0, 0.8),
+        *(pytest.param(seed, 1.5, 1.1, marks=pytest.mark.long) for seed in (40, 42, 43, 44, 45, 46, 47)),
+        *(pytest.param(seed, 8.0, 0.8, marks=pytest.mark.long) for seed in (50, 51, 52, 56, 57, 58)),
+        *(pytest.param(seed, 0.8, 2.0, marks=pytest.mark.long) for seed in (54, 55)),
+    ],
+)
+def test_a_voltage_that_ends_is_named_with_its_numbers(seed, stall_share, speed_share):
+    """A hyperbola and a cap resemble the line to which a voltage limits a current over speed, and are not it."""
+    found, stall, no_load = limited(seed, stall_share, speed_share, of_a_voltage)
+    assert found.verdict == "effect"
+    assert [cause.effect for cause in found.causes if cause.probability > 0.5] == ["voltage_limit"]
+    told = {item.name: item.value for item in found.causes[0].parameters}
+    assert told["no_load_speed"] == pytest.approx(no_load, rel=0.03)
+    assert told["stall_current"] == pytest.approx(stall, rel=0.15)  # which runs near the no-load speed hardly tell
+
+
+@pytest.mark.parametrize(
+    "seed", [41, pytest.param(46, marks=pytest.mark.long), pytest.param(51, marks=pytest.mark.long)]
+)
+def test_a_limit_of_another_law_is_no_limit_of_the_library(seed):
+    found, _, _ = limited(seed, 0.8, 0.8, of_an_ellipse)
     assert found.verdict == "unknown"
     assert all(cause.probability < 0.5 for cause in found.causes)
     assert any("a limit of the drive" in note for note in found.notes)

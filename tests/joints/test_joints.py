@@ -95,7 +95,7 @@ def test_only_machines_with_a_gear_have_play():
     assert loose == {"geared_joint", "heavy_axis", "hobby_servo", "exoskeleton"}
 
 
-BOUNDS = ("command_slew_limit", "torque_limit", "power_foldback")  # the lower, the more they take
+BOUNDS = ("command_slew_limit", "torque_limit", "power_foldback", "voltage_limit")  # the lower, the more they take
 
 
 def most(name):

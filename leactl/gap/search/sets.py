@@ -7,10 +7,11 @@ effect must reach is measured against the size that sound machines simulated thr
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise, product
 from operator import mul
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +32,7 @@ EXCHANGES = 4  # most rounds of exchanging members
 MOVES = 4  # most moves of a form at each step size
 FINER = (1 / 3, 1 / 9, 1 / 27, 1 / 81)  # step sizes as shares of the grid's ratio, on a logarithmic scale
 SCANNED = 8  # trials from one value of a narrow effect's grid to the next
+ASCENTS = 8  # most steps along a ridge from the best form of the last grid
 ALIKE = 2.0  # difference in weighted squares below which forms cannot be told apart
 NOISE_ROUNDS = (2, 0)  # rounds of estimating the noise from a set's residuals; 0 keeps the usual noise
 SHORTLIST = 4  # most candidates of one ranking that are fitted
@@ -465,6 +467,8 @@ def refined_beside(evidence: Evidence, others: list[Candidate], candidate: Candi
         form = scanned(evidence, others, name, form, ratios[0])
     form = refined(evidence, others, name, form, ratios)
     if not strength_tells_form(name, form):
+        if effect.refined > 1:
+            form = summit(evidence, others, (name, form), ratios)
         evidence.form_spread[name, form] = spread_of_form(evidence, others, (name, form), ratios)
     return name, form
 
@@ -501,6 +505,69 @@ def strength_tells_form(name: str, form: Form) -> bool:
     return library()[name].shaped and library()[name].whole(form, 0.5) != form
 
 
+class LocalShape(NamedTuple):
+    """How the gain changes about a form, per finest step of the search in each refined number that has a grid."""
+
+    free: list[int]  # positions of these numbers
+    steps: list[float]  # finest steps, on a logarithmic scale
+    slope: npt.NDArray[np.float64]
+    curvature: npt.NDArray[np.float64]  # fall of the gain, without the slope
+
+
+def about_form(
+    evidence: Evidence, others: list[Candidate], candidate: Candidate, ratios: Sequence[float]
+) -> LocalShape | None:
+    """Measure slope and curvature of the gain about a form; None where a neighbouring form is not possible."""
+    name, form = candidate
+    free = [index for index, ratio in enumerate(ratios) if ratio > 1.0]
+    steps = [FINER[-1] * math.log(ratios[index]) for index in free]
+    moves = sorted({move for move in product((-1, 0, 1), repeat=len(free)) if sum(map(abs, move)) <= 2})
+    forms = {move: moved(form, dict(zip(free, map(mul, move, steps), strict=True))) for move in moves}
+    gains, all_possible = gains_of(evidence, others, [(name, forms[move]) for move in moves])
+    if not all_possible or not free:
+        return None
+
+    def both_ways(move: Sequence[int]) -> tuple[float, float]:
+        """Return half the difference of the gains in both directions, and the mean fall, in which a slope cancels."""
+        there, back = (gains[forms[tuple(sign * part for part in move)]] for sign in (1, -1))
+        return 0.5 * (there - back), gains[form] - 0.5 * (there + back)
+
+    unit_moves = np.eye(len(free), dtype=int)
+    along = [both_ways(row.tolist()) for row in unit_moves]
+    curvature = np.diag([fall for _, fall in along])
+    for i, j in combinations(range(len(free)), 2):
+        together, opposed = (both_ways((unit_moves[i] + sign * unit_moves[j]).tolist())[1] for sign in (1, -1))
+        curvature[i, j] = curvature[j, i] = 0.25 * (together - opposed)
+    return LocalShape(free, steps, np.array([rise for rise, _ in along]), curvature)
+
+
+def moved(form: Form, logs: Mapping[int, float]) -> Form:
+    """Return a form with some of its numbers multiplied by the exponentials of these logarithms, by position."""
+    return tuple(number * math.exp(logs.get(index, 0.0)) for index, number in enumerate(form))
+
+
+def summit(evidence: Evidence, others: list[Candidate], candidate: Candidate, ratios: Sequence[float]) -> Form:
+    """Return the form at the end of a ridge on which two numbers compensate each other.
+
+    The grid's points may all lie beside such a ridge. Newton steps follow it, none longer than the grid's first ones.
+    """
+    name, form = candidate
+    for _ in range(ASCENTS):
+        local = about_form(evidence, others, (name, form), ratios)
+        if local is None or np.linalg.eigvalsh(local.curvature)[0] <= 0.0:
+            break
+        ascent = 0.5 * np.linalg.solve(local.curvature, local.slope)
+        longest = FINER[0] / FINER[-1]
+        ascent *= longest / max(float(np.max(np.abs(ascent))), longest)
+        logs = dict(zip(local.free, (ascent * local.steps).tolist(), strict=True))
+        gains, _ = gains_of(evidence, others, [(name, form), (name, moved(form, logs))])
+        best = max(gains, key=lambda tried_form: gains[tried_form], default=form)
+        if gains.get(best, -math.inf) <= gains.get(form, -math.inf) + SAME:
+            break
+        form = best
+    return form
+
+
 def spread_of_form(
     evidence: Evidence, others: list[Candidate], candidate: Candidate, ratios: Sequence[float]
 ) -> npt.NDArray[np.float64]:
@@ -510,37 +577,10 @@ def spread_of_form(
     gives the covariance. It is infinite where the gain does not fall to both sides, as at the edge of the possible
     range, and zero for a number that is not refined.
     """
-    name, form = candidate
-    free = [index for index, ratio in enumerate(ratios) if ratio > 1.0]
-    steps = [FINER[-1] * math.log(ratios[index]) for index in free]
-    moves = {move for move in product((-1, 0, 1), repeat=len(free)) if sum(map(abs, move)) <= 2}
-
-    def moved(move: Sequence[int]) -> Form:
-        logs = dict(zip(free, map(mul, move, steps), strict=True))
-        return tuple(number * math.exp(logs.get(index, 0.0)) for index, number in enumerate(form))
-
-    gains, all_possible = gains_of(evidence, others, [(name, moved(move)) for move in sorted(moves)])
-    spread = np.zeros((len(ratios), len(ratios)))
-    free_block = np.ix_(free, free)
-    spread[free_block] = np.diag(np.full(len(free), math.inf))
-    if not all_possible or not free:
-        return spread
-    falls = {move: gains[form] - gains[moved(move)] for move in moves}
-
-    def fall_along(move: Sequence[int]) -> float:
-        """Return the mean fall of the gain in both directions, in which a slope cancels."""
-        return 0.5 * (falls[tuple(move)] + falls[tuple(-part for part in move)])
-
-    unit_moves = np.eye(len(free), dtype=int)
-    curvature = np.diag([fall_along(row.tolist()) for row in unit_moves])
-    for i, j in combinations(range(len(free)), 2):
-        together, opposed = (
-            fall_along((unit_moves[i] + unit_moves[j]).tolist()),
-            fall_along((unit_moves[i] - unit_moves[j]).tolist()),
-        )
-        curvature[i, j] = curvature[j, i] = 0.25 * (together - opposed)
-    if np.linalg.eigvalsh(curvature)[0] > 0.0:
-        spread[free_block] = np.linalg.inv(curvature) * np.outer(steps, steps)
+    spread = np.diag([math.inf if ratio > 1.0 else 0.0 for ratio in ratios])
+    local = about_form(evidence, others, candidate, ratios)
+    if local is not None and np.linalg.eigvalsh(local.curvature)[0] > 0.0:
+        spread[np.ix_(local.free, local.free)] = np.linalg.inv(local.curvature) * np.outer(local.steps, local.steps)
     return spread
 
 

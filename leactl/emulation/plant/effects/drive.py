@@ -77,6 +77,22 @@ class PlantPowerFoldback(PlantEffect):
 
 
 @dataclass(frozen=True)
+class PlantVoltageLimit(PlantEffect):
+    """A drive at the end of its voltage.
+
+    The current loop follows its reference as far as the voltage drives a current against the back-EMF.
+    """
+
+    stall_current: float = bounded(1e6, 1e-3, 1e9)  # A
+    no_load_speed: float = bounded(1e6, 1e-3, 1e9)  # rad/s
+
+    def bounded_reference(self, reference: Value, torque_constant: Value, velocity: Value) -> Value:
+        """Limit the current to what the difference of voltage and back-EMF drives through the winding."""
+        back_emf = self.stall_current * velocity / self.no_load_speed
+        return np.minimum(np.maximum(reference, -self.stall_current - back_emf), self.stall_current - back_emf)
+
+
+@dataclass(frozen=True)
 class PlantDeadTime(PlantEffect):
     """An inverter that loses voltage, with the sign of the current.
 

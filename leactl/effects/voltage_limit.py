@@ -1,0 +1,66 @@
+"""Voltage limit: the current is the model's, cut off where supply and back-EMF leave no more."""
+
+from collections.abc import Mapping
+from itertools import product
+
+import numpy as np
+
+from leactl.effects.contract import Array, Effect, Form, Signals, Terms
+from leactl.effects.plant import Plant
+from leactl.model.nominal import Model
+
+
+class VoltageLimit(Effect):
+    """A drive at the end of its voltage.
+
+    A voltage U drives U / R through a motor at rest and none at the speed U / K: steady state, without inductance.
+    """
+
+    name = "voltage_limit"
+    one_sided = True
+    shaped = True
+    limits_current = True
+    refined = 2
+    # stall current and current left at the highest speed: runs near that speed alone tell the second, not the first
+    forms = tuple(product((0.7, 1.0, 1.5, 2.5, 5.0, 12.0), (0.06, 0.085, 0.12, 0.17, 0.24, 0.34, 0.48, 0.68), (1.0,)))
+    form_scales = ("highest current", "highest current", "highest speed")
+
+    def terms(self, signals: Signals, form: Form) -> Terms:
+        """What the limit takes from the model's current."""
+        if signals.command is None or signals.following is None or signals.velocity is None or signals.looped is None:
+            return {}
+        if form[1] >= form[0]:
+            return {}
+        cut = within_voltage(signals.command, signals.velocity, form[0], no_load_speed(form))
+        response = signals.looped(cut, np.zeros_like(cut), float(signals.command[0]))
+        return {"current_following": {"strength": response - signals.following}}
+
+    def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
+        """Stall current and no-load speed."""
+        return {"stall_current": form[0], "no_load_speed": no_load_speed(form)}
+
+    def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
+        """How much of the limit is there."""
+        return abs(coefficients["strength"])
+
+    def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
+        """A command that is cut off by what the measured speed leaves of the voltage."""
+        stall_current, no_load_speed = parameters["stall_current"], parameters["no_load_speed"]
+        plant.command_at_speed.append(lambda values, speed: within_voltage(values, speed, stall_current, no_load_speed))
+
+    def whole(self, form: Form, strength: float) -> Form:
+        """The limit itself: half of a limit is no limit at another voltage."""
+        return form
+
+
+def no_load_speed(form: Form) -> float:
+    """Return the speed [rad/s] at which no current is left."""
+    stall_current, left, speed = form
+    return speed / (1.0 - left / stall_current)
+
+
+def within_voltage(current: Array, velocity: Array, stall_current: float, no_load_speed: float) -> Array:
+    """Return the current [A] that a voltage limit leaves of one that is asked for, at a speed [rad/s]."""
+    back_emf_share = velocity / no_load_speed
+    highest = stall_current * (1.0 - back_emf_share)
+    return np.asarray(np.clip(current, highest - 2.0 * stall_current, highest), np.float64)
