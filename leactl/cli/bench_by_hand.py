@@ -256,14 +256,14 @@ def _follow(
     from leactl.runner.operators import keyboard
     from leactl.runner.request import prepare_by_hand
     from leactl.runner.session import execute
-    from leactl.runner.stop_requests import to_the_end
+    from leactl.runner.stop_requests import signals_kept_to_the_end
 
     steps = endless_steps() if hold_s is None else reading_steps(hold_s)
     request = prepare_by_hand("read", steps, bench, setup, out, realtime, served, bus, everything=True)
     request = replace(request, realtime=realtime or request.in_process, record_every_s=every_s)
     follower = Follower(ReadingSampler(request.bench.name, streams_of(request), channels), every_s, as_json)
     warn_overdue(request)
-    with to_the_end():
+    with signals_kept_to_the_end():
         with traced_to(trace) as traced, keyboard(shown=sys.stderr.isatty()) as keys:
             request = replace(request, trace=traced)
             outcome = execute(request, _never_confirmed, follower.watch, [keys.pressed, follower.stop_cause])

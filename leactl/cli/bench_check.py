@@ -114,10 +114,10 @@ def _examine(
     from leactl.errors import InputError
     from leactl.report.bench_check import lines
     from leactl.report.terminal import encodable, encoding_of_stdout
-    from leactl.runner.bench_check.procedure import examine, reading, turning
+    from leactl.runner.bench_check.check import check_bench, request_at_rest, request_turning
 
-    reading_run = reading(bench, setup, out, realtime, served, bus)
-    turning_run = turning(bench, current, setup, out, realtime, served, bus) if move else None
+    reading_run = request_at_rest(bench, setup, out, realtime, served, bus)
+    turning_run = request_turning(bench, current, setup, out, realtime, served, bus) if move else None
     if dry_run:
         typer.echo(f"leactl: {turning_run[1] if turning_run else 'every drive stays off'}", err=True)
         print_dry_run(turning_run[0] if turning_run else reading_run, as_json)
@@ -129,7 +129,7 @@ def _examine(
         reading_run = replace(reading_run, trace=traced)
         if turning_run is not None:
             turning_run = (replace(turning_run[0], trace=traced), turning_run[1])
-        examined = examine(
+        examined = check_bench(
             reading_run,
             turning_run,
             perform,

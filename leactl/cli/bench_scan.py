@@ -36,7 +36,7 @@ def scan(
     from leactl.errors import DeviceError, InputError, Stopped
     from leactl.report import scan as scan_report
     from leactl.runner.scan import ScannedWire, named_wires, scan, wires_of_this_machine
-    from leactl.runner.stop_requests import listening
+    from leactl.runner.stop_requests import handled_signals
 
     if as_json and as_yaml:
         raise InputError("--json and --yaml are both given; one was expected")
@@ -44,7 +44,7 @@ def scan(
     wires = named_wires(can, i2c, serial, lan, bitrate) if wires_are_named else wires_of_this_machine()
     scanned: list[tuple[ScannedWire, WireReport]] = []
     end: DeviceError | Stopped | None = None
-    with listening() as stop:
+    with handled_signals() as stop:
         try:
             for wire in wires:
                 scanned.append((wire, WireReport(wire.shown)))

@@ -138,7 +138,7 @@ def run(
     from leactl.runner.campaign.conduct import CampaignOptions, conduct
     from leactl.runner.campaign.entries import previews
     from leactl.runner.campaign.folder import resumable
-    from leactl.runner.stop_requests import to_the_end
+    from leactl.runner.stop_requests import signals_kept_to_the_end
 
     campaign, folder, entries = _read(name, variant, seed, out, operator, realtime, served, bus)
     if dry_run:
@@ -156,7 +156,7 @@ def run(
         return
     attended = sys.stdin is not None and sys.stdin.isatty()
     options = CampaignOptions(perform, _tell, attended, yes, cold, redo_lost, accept_changes)
-    with to_the_end():
+    with signals_kept_to_the_end():
         ended = conduct(campaign, entries, folder, options)
     finished_count = len(ended.journal.finished)
     files = {key: str(folder / f"{finished_run.run_id}.h5") for key, finished_run in ended.journal.finished.items()}

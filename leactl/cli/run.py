@@ -106,7 +106,7 @@ def run(
     from leactl.runner.acceptance import judge_all
     from leactl.runner.event_lines import STDOUT, EventLines
     from leactl.runner.request import prepare
-    from leactl.runner.stop_requests import to_the_end
+    from leactl.runner.stop_requests import signals_kept_to_the_end
 
     request = prepare(protocol, bench, settings, actuator, condition, operator, out, realtime, served, bus)
     plan = replace(request.plan, attended=attended or request.plan.attended)
@@ -123,7 +123,7 @@ def run(
         print_dry_run(request, as_json)
         return
     with (
-        to_the_end(),
+        signals_kept_to_the_end(),
         page as shown,
         EventLines(events) if events else nullcontext() as lines,
         traced_to(trace) as traced,

@@ -207,7 +207,7 @@ def commission(
     from leactl.runner.commission import CommissionOptions
     from leactl.runner.commission import commission as commissioned
     from leactl.runner.request import prepare
-    from leactl.runner.stop_requests import to_the_end
+    from leactl.runner.stop_requests import signals_kept_to_the_end
 
     target = file or Path(f"{actuator.replace('/', '-')}.yaml")
     check_files([target], given)
@@ -221,7 +221,7 @@ def commission(
 
     accuracy = Accuracy(camera_gain, camera_offset, current_repeats)
     options = CommissionOptions(prepared, perform, _tell, runs, given, accuracy, cold, dry_run)
-    with to_the_end():
+    with signals_kept_to_the_end():
         commissioning = commissioned(options, target)
     body = commissioned_body(commissioning, protocol, actuator)
     typer.echo(json.dumps(body) if as_json else commissioned_text(body))

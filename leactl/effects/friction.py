@@ -1,4 +1,4 @@
-"""Nominal friction, as several effects scale it."""
+"""The model file's friction torque, which effects of friction multiply by a share."""
 
 import numpy as np
 import numpy.typing as npt
@@ -9,5 +9,8 @@ Array = npt.NDArray[np.float64]
 
 
 def friction_torque(model: Model, velocity: Array, sliding: Array) -> Array:
-    """The model's viscous and Coulomb friction torque [N*m], shape (samples,); a missing coefficient is 0."""
+    """Return viscous and Coulomb friction torque [N*m], shape (samples,); a coefficient that the model lacks is 0.
+
+    velocity : rad/s. sliding : sign of the velocity, -1, 0 or 1, and smooth in between.
+    """
     return (model.viscous_damping or 0.0) * velocity + (model.coulomb_friction or 0.0) * sliding

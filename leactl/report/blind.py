@@ -7,30 +7,30 @@ from typing import Any
 from leactl.gap.blind.score import Calibration, Group, Score, Share
 
 FORMAT, VERSION = "leactl-gap-score", 1
-MEANINGS = """\
-Each case is an emulated bench or a drawn machine with parameters off its nominal model and with no effect, one, two, or
-one that the library lacks. The last run of each kind was held out. Answers were written before the key was opened;
-the key's SHA-256 is the one beside the runs. Intervals are Wilson's 95 %.
+HOW_TO_READ = """\
+Each case is an emulated bench or a drawn machine. Its parameters differ from those of its nominal model, and it has no
+effect, one, two, or one that the library lacks. Of each kind of run, the last is held out. All answers were written
+before the key was opened; the key's SHA-256 is the one beside the runs. Intervals are Wilson's, at 95 %.
 
-- *First cause right*: the first entry of `causes` truly acts. *Reported set*: that entry with its
-  `indistinguishable_from`. *Named*: a probability of 0.5 or more, or in the reported set. Where no record of a machine
-  can tell two effects apart (a joint without a voltage: asymmetric friction and an offset of the current sensor), they
-  count as one.
-- *Called sound*: the verdict is `none` or `calibration`. *The held-out gap grew*: the squared distance to the held-out
-  runs, summed over the channels in multiples of their floors, is larger than without.
-- *What the effects move*: the bench's true parameters are replayed through the held-out runs with the true effects and
-  without them; channels and set-ups rank by how far apart the two are in multiples of the floor. *What calibration
-  leaves*: the same, the nominal model as calibrated alone in the place of the true bench without effects. The first
-  entry of `where` is right where it is the first of that rank or within a tenth of it; where nothing is moved by a
-  floor, there is nothing to point at, and the case is left out.
-- *Oracle*: told which effects act, it fits their parameters and the calibration as the diagnosis does. Compared is the
-  share of the gap closed on the channel that calibration leaves most of, gap and floor being the oracle's; cases in
-  which calibration alone comes within 1.1 floors of the data there have no gap to close and are left out.
-- *Within 2 standard errors*: every calibrated parameter of every case whose effects the library has, whatever the
-  answer. Left out are `back_emf_constant`, which is the torque constant again, `ambient_offset`, which the emulated
-  bench has none of, and the shaft's stiffness where `shaft_compliance` replaces it. Parameters of one case are not
-  independent of each other: the interval is too narrow for that. Of a drawn machine, which logs neither torque nor
-  voltage, parameters are compared as ratios to the torque constant: its runs tell no more.
+- *First cause right*: the first entry of `causes` is an effect that the case has. *Reported set*: that entry with its
+  `indistinguishable_from`. *Named*: an effect with a probability of 0.5 or more, or in the reported set. Two effects
+  count as one where no record of a machine tells them apart, such as asymmetric friction and an offset of the current
+  sensor in a joint without a voltage.
+- *Called sound*: the verdict is `none` or `calibration`. *The held-out gap grew*: with the named effects, the squared
+  distance to the held-out runs is larger than without them; it is summed over the channels in multiples of their
+  floors.
+- *Where*: two rankings of channels and set-ups count. *What the effects move* compares the true bench with and without
+  its effects, replayed through the held-out runs. *What calibration leaves* compares the true bench with the nominal
+  model after calibration alone. Differences are in multiples of the floor. The first entry of `where` is right if it
+  is the first of the ranking or within a tenth of it. Cases in which no difference exceeds a floor are left out.
+- *Oracle*: a fit that knows which effects act and fits their parameters and the calibration as the diagnosis does. The
+  share of the gap that the diagnosis closes is compared with the oracle's, on the channel with the largest gap after
+  calibration. Cases whose gap after calibration is within 1.1 floors are left out.
+- *Within 2 standard errors*: every calibrated parameter of every case whose effects are all in the library, whatever
+  the answer. Left out are `back_emf_constant`, because it equals the torque constant, `ambient_offset`, because no
+  emulated bench has one, and the shaft's stiffness where `shaft_compliance` replaces it. The parameters of one case
+  depend on each other, so that the true interval is wider. A drawn machine logs neither torque nor voltage: its runs
+  tell parameters only as ratios to the torque constant, and these ratios are compared.
 """
 
 
@@ -62,7 +62,7 @@ def share_json(share: Share) -> dict[str, Any]:
 
 def markdown(score: Score, command: str) -> str:
     """Return the score as a page of Markdown that begins with the command that made it."""
-    lines = ["# The check on withheld causes", "", "```", command, "```", "", f"{score.cases} cases.", "", MEANINGS]
+    lines = ["# The check on withheld causes", "", "```", command, "```", "", f"{score.cases} cases.", "", HOW_TO_READ]
     lines += ["| question | target | found | count | 95 % interval |", "|---|---|---|---|---|"]
     lines += [share_row(share) for share in score.shares]
     if score.set_size is not None:

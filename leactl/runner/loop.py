@@ -33,7 +33,7 @@ from leactl.runner.commanded import Commanded
 from leactl.runner.criterion import Judge
 from leactl.runner.flushing import Recording
 from leactl.runner.step_outcomes import Outcomes
-from leactl.runner.stop_requests import People
+from leactl.runner.stop_requests import RunControl
 from leactl.runner.watchdog import CYCLES, Unwatched, hung
 from leactl.safety.supervisor import Supervisor
 
@@ -54,12 +54,12 @@ class Loop:
         bench: Bench,
         supervisor: Supervisor,
         watchdog: Unwatched,
-        people: People,
+        control: RunControl,
         recording: Recording,
     ) -> None:
         self._plan, self._bench, self._supervisor = plan, bench, supervisor
         self._watchdog, self._sign = watchdog, watchdog.sign
-        self._stop, self._wishes, self._operator = people.stop, people.wishes, people.operator
+        self._stop, self._operator_input, self._ask_operator = control.stop, control.operator_input, control.prompt
         self._writer, self._flush = recording.writer, recording.flush
         self._progress, self._limits = recording.progress, recording.limits
         self._commanded, self._pausing = Commanded(), False
@@ -104,7 +104,7 @@ class Loop:
                     self._decide(action, actions)
                     continue
                 self._perform(action)
-                if self._wishes.paused() and self._commanded.rests:
+                if self._operator_input.paused() and self._commanded.rests:
                     self._pause()
             self._cycle()
         except BaseException as error:
@@ -170,7 +170,7 @@ class Loop:
         self._pausing = True
         self._note("info", "operator", "paused")
         try:
-            while self._wishes.paused():
+            while self._operator_input.paused():
                 if self.time - began > LONGEST_PAUSE_S:
                     raise Stopped(f"paused for {LONGEST_PAUSE_S:g} s")
                 self._cycle()
@@ -239,10 +239,10 @@ class Loop:
             self._progress.warnings.append(text)
         for source, text in self._bench.notices():
             self._note("warning", source, text)
-        for text in self._wishes.remarks():
+        for text in self._operator_input.remarks():
             self._note("info", "operator", f"remark: {text}")
         wanted = "paused" if self._pausing else "pauses at the next rest"
-        self._progress.pause = wanted if self._wishes.paused() else ""
+        self._progress.pause = wanted if self._operator_input.paused() else ""
         for source, texts in (("safety", self._supervisor.take_warnings()), ("recorder", self._flush.warnings())):
             for text in texts:
                 self._note("warning", source, text)
@@ -446,7 +446,7 @@ class Loop:
         """Ask the operator, and run cycles until the answer."""
         self._progress.step = self._progress.prompt = text
         self._note("info", "operator", f"asked: {text}")
-        confirmed = self._operator(text)
+        confirmed = self._ask_operator(text)
         while not confirmed():
             self._cycle()
         self._progress.prompt = ""

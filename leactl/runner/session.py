@@ -1,6 +1,6 @@
 """One run from checked inputs to a closed file: opens the bench, runs the loop, and always ends in the same order.
 
-The order at the end does not depend on the cause, and nothing that may fail or wait comes before the safety of people.
+The order at the end does not depend on the cause, and nothing that may fail or wait comes before the safety of control.
 First the supervisor makes the devices safe (test drive, load drive, the rest). Then a trip is latched, the view is
 closed, the file is closed with its status, and the devices are closed. A watchdog process acts if this fails, until the
 devices are safe.
@@ -31,7 +31,7 @@ from leactl.runner.progress import Progress
 from leactl.runner.request import Request
 from leactl.runner.run_head import introduce, warn_of_bench, writer_of
 from leactl.runner.runs_underway import Announcement
-from leactl.runner.stop_requests import Operator, People, StopSource, Wishes, listening
+from leactl.runner.stop_requests import OperatorInput, OperatorPrompt, RunControl, StopSource, handled_signals
 from leactl.runner.thermal_admission import Windings
 from leactl.runner.watchdog import Unwatched, beside
 from leactl.safety.supervisor import Supervisor
@@ -41,7 +41,7 @@ Watch = Callable[[Progress], AbstractContextManager[object]]
 
 @dataclass(frozen=True)
 class RunContext:
-    """A run on its open bench, with its supervisor, watchdog and latch, the people who may end it, and its view."""
+    """A run on its open bench, with its supervisor, watchdog and latch, the control who may end it, and its view."""
 
     request: Request
     bench: Bench
@@ -49,7 +49,7 @@ class RunContext:
     supervisor: Supervisor
     watchdog: Unwatched
     latch: Latch | Ready  # set by a trip
-    people: People
+    control: RunControl
     watch: Watch
     announcement: Announcement
     stays_on: Sequence[str]  # for each supply, the consequence if nobody switches it off
@@ -57,7 +57,7 @@ class RunContext:
 
 def execute(
     request: Request,
-    operator: Operator,
+    operator: OperatorPrompt,
     watch: Watch,
     stops: Sequence[StopSource] = (),
     pauses: Sequence[Callable[[], bool]] = (),
@@ -80,7 +80,7 @@ def execute(
     run_id = request.run_id or new_run_id(request.plan.name, datetime.now(UTC))
     devices = with_run_folders(request.devices, request.directory, run_id if request.in_process else "")
     request = replace(request, run_id=run_id, devices=devices)
-    with locks_of(request) as locks, listening() as stop, ExitStack() as lasting:
+    with locks_of(request) as locks, handled_signals() as stop, ExitStack() as lasting:
         state = state_folder.place_of(request.bench, request.in_process)
         refuse_latched(request)
         bench_latch = _held_ready(request, lasting)
@@ -92,12 +92,12 @@ def execute(
             windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
             request, bench, supervisor, stays_on = admitted(request, windings)
             for source in (announcement.asked, *stops):
-                stop.heed(source)
+                stop.add_source(source)
             with windings.remembered(announcement.renew):
                 bench.open()
                 try:
-                    wishes = Wishes(partial(_paused, announcement, pauses), announcement.remarks)
-                    people = People(stop, wishes, operator)
+                    operator_input = OperatorInput(partial(_paused, announcement, pauses), announcement.remarks)
+                    control = RunControl(stop, operator_input, operator)
                     outcome = _run(
                         RunContext(
                             request,
@@ -106,7 +106,7 @@ def execute(
                             supervisor,
                             watchdog,
                             bench_latch,
-                            people,
+                            control,
                             watch,
                             announcement,
                             stays_on,
@@ -160,7 +160,7 @@ def _run(context: RunContext) -> Outcome:
             writer.heard = {"steps": request.lines.step, "events": request.lines.event}
         limits = limits_of(plan, bench)
         recording = Recording(writer, flush, progress, limits)
-        loop = Loop(plan, bench, supervisor, watchdog, context.people, recording)
+        loop = Loop(plan, bench, supervisor, watchdog, context.control, recording)
     except BaseException:
         safe = supervisor.make_safe()
         if unsafe := unconfirmed_devices(safe):

@@ -13,7 +13,7 @@ StopSource = Callable[[], str]
 """Called once a cycle; returns the cause for which the run has to stop, or an empty text."""
 
 
-class Wishes:
+class OperatorInput:
     """Functions that tell whether a person wants the run to pause, and which remarks its record is to hold."""
 
     def __init__(
@@ -32,7 +32,7 @@ class StopRequest:
         self.cause = ""
         self._sources: list[StopSource] = []
 
-    def heed(self, source: StopSource) -> None:
+    def add_source(self, source: StopSource) -> None:
         """Add a source, which every `check` calls."""
         self._sources.append(source)
 
@@ -55,21 +55,21 @@ class StopRequest:
             raise Stopped(self.cause)
 
 
-Operator = Callable[[str], Callable[[], bool]]
+OperatorPrompt = Callable[[str], Callable[[], bool]]
 """Asks the operator to do something; the function that it returns tells whether they have confirmed it."""
 
 
 @dataclass(frozen=True)
-class People:
+class RunControl:
     """What connects a run to people: requests to stop it, requests to pause it, and prompts to the operator."""
 
     stop: StopRequest
-    wishes: Wishes
-    operator: Operator
+    operator_input: OperatorInput
+    prompt: OperatorPrompt
 
 
 @contextmanager
-def listening() -> Iterator[StopRequest]:
+def handled_signals() -> Iterator[StopRequest]:
     """Handle SIGINT, SIGTERM, SIGQUIT and SIGHUP until the block is left; an ignored SIGHUP (nohup) stays ignored.
 
     The stop request that is yielded begins with the cause of a `StopRequest` that handled these signals before. An
@@ -99,7 +99,7 @@ def between_runs() -> Iterator[Callable[[], None]]:
     receiver, wakeup = socket.socketpair()
     receiver.setblocking(False)
     wakeup.setblocking(False)
-    with receiver, wakeup, listening() as request:
+    with receiver, wakeup, handled_signals() as request:
         previous_descriptor = signal.set_wakeup_fd(wakeup.fileno(), warn_on_full_buffer=False)
 
         def check() -> None:
@@ -117,8 +117,8 @@ def between_runs() -> Iterator[Callable[[], None]]:
 
 
 @contextmanager
-def to_the_end() -> Iterator[None]:
-    """Store signals during the block, for the next `listening` in it, and ignore signals after the block.
+def signals_kept_to_the_end() -> Iterator[None]:
+    """Store signals during the block, for the next `handled_signals` in it, and ignore signals after the block.
 
     After the block a command only prints a line or two about its result. The system's default action, to kill the
     process, would lose these lines and the exit status; Python restores that default for each of its own handlers while

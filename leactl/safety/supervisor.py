@@ -50,7 +50,7 @@ class Axis(NamedTuple):
 
 
 @dataclass(slots=True)
-class _Guarded:
+class _SupervisedDrive:
     """One axis with the state of its supervision."""
 
     axis: Axis
@@ -118,7 +118,7 @@ class Supervisor:
         self.warnings: list[str] = []
         self._voltage_needs = voltage_needs or {}
         now = clock.now()
-        self._axes = {role: self._guard(role, axis, now) for role, axis in axes.items()}
+        self._axes = {role: self._supervise(role, axis, now) for role, axis in axes.items()}
         streams = [
             stream for device in (*[axis.driver for axis in axes.values()], *others) for stream in device.streams
         ]
@@ -129,7 +129,7 @@ class Supervisor:
         self.supplies = Supplies(others, limits, guard, leads, self.refuse_latched, self.trip)
         self._heating_streams = self._measured.streams | self.supplies.streams
         guard.undriven = frozenset(index for index, role in enumerate(guard.roles) if role not in self._axes)
-        panels = [*[guarded.panel for guarded in self._axes.values()], *self._panels.values()]
+        panels = [*[drive.panel for drive in self._axes.values()], *self._panels.values()]
         self._stuck = Stuck(panels, interlocks)
         self._velocities = self._by_angle()
         self._pace = Pace(interlocks.loop_overruns, interlocks.clock, self.trip, now)
@@ -153,8 +153,8 @@ class Supervisor:
         panel.begin(now, age)
         return panel
 
-    def _guard(self, role: str, axis: Axis, now: float) -> _Guarded:
-        """Put an axis under supervision."""
+    def _supervise(self, role: str, axis: Axis, now: float) -> _SupervisedDrive:
+        """Return a drive with the state of its supervision at the start."""
         channels = axis.motion.loop_channels
         indices = {channel.quantity: index for index, channel in enumerate(channels)}
         panel = self._panel(channels, self._limits.cyclic_age(0.0), now)
@@ -163,7 +163,7 @@ class Supervisor:
         tracking = CurrentTracking(role, axis.motion, settings, self._limits, need, self.trip)
         tracking.turn_to(judges=True)
         direct, velocity, angle = (indices.get(name) for name in ("d_axis_current", "velocity", "angle"))
-        return _Guarded(axis, panel, indices["q_axis_current"], direct, velocity, angle, tracking)
+        return _SupervisedDrive(axis, panel, indices["q_axis_current"], direct, velocity, angle, tracking)
 
     def _by_torque(self, models: Mapping[str, TorqueModel]) -> list[Witnesses]:
         """Return the comparison of currents with the torque sensor, in a list that is empty without one."""
@@ -186,14 +186,14 @@ class Supervisor:
         if settings is None:
             return []
         witnesses = []
-        for role, guarded in self._axes.items():
-            for watch in guarded.panel.watches:
+        for role, drive in self._axes.items():
+            for watch in drive.panel.watches:
                 if watch.channel.quantity == "q_axis_voltage" and role in self._voltage_needs:
                     constant = self._voltage_needs[role].back_emf_constant
                     by_voltage = ByVoltage(watch.label, settings, constant, partial(self._thermal.resistances, role))
                     account = self._account(role, by_voltage)
                     if account is not None:
-                        witnesses.append(Witnesses(settings.for_s, guarded.panel, watch.index, [account], self.trip))
+                        witnesses.append(Witnesses(settings.for_s, drive.panel, watch.index, [account], self.trip))
         return witnesses
 
     def _by_angle(self) -> Velocities | None:
@@ -204,10 +204,10 @@ class Supervisor:
 
     def _account(self, role: str, witness: ByTorque | ByVoltage) -> Account | None:
         """Return the account of a role's current, or None without a drive that reports its velocity."""
-        guarded = self._axes.get(role)
-        if guarded is None or guarded.velocity is None:
+        drive = self._axes.get(role)
+        if drive is None or drive.velocity is None:
             return None
-        return Account(f"{role} q_axis_current", witness, guarded.panel, guarded.current, guarded.velocity)
+        return Account(f"{role} q_axis_current", witness, drive.panel, drive.current, drive.velocity)
 
     def begin(self, period: float) -> None:
         """Begin with cycles of `period` [s].
@@ -218,8 +218,8 @@ class Supervisor:
         guard = self._thermal
         guard.begin(now)
         self._heating = guard.flowing, STALL_CYCLES * period
-        for guarded in self._axes.values():
-            guarded.panel.begin(now, self._limits.cyclic_age(period))
+        for drive in self._axes.values():
+            drive.panel.begin(now, self._limits.cyclic_age(period))
         for panel in self._panels.values():
             panel.begin(now, self._limits.age_s)
         self._pace.begin(period, now)
@@ -247,15 +247,15 @@ class Supervisor:
         SafetyTrip : a trip is latched.
         """
         self.refuse_latched()
-        guarded = self._axes[role]
-        guarded.axis.motion.engage(mode)  # if the drive refuses, the limits stay as they are
-        guarded.turn_to(mode, self._limits, self._clock.now())
+        drive = self._axes[role]
+        drive.axis.motion.engage(mode)  # if the drive refuses, the limits stay as they are
+        drive.turn_to(mode, self._limits, self._clock.now())
 
     def release(self, role: str) -> None:
         """Let a drive leave operation; always allowed."""
-        guarded = self._axes[role]
-        guarded.turn_to(Mode.OFF, self._limits, self._clock.now())
-        guarded.axis.motion.release()
+        drive = self._axes[role]
+        drive.turn_to(Mode.OFF, self._limits, self._clock.now())
+        drive.axis.motion.release()
 
     def engaged(self, role: str) -> bool:
         """True once the drive itself reports that it follows its setpoint."""
@@ -275,27 +275,27 @@ class Supervisor:
         """
         if self.tripped:
             raise SafetyTrip(self.tripped)
-        guarded = self._axes[role]
-        low, high = guarded.bounds
+        drive = self._axes[role]
+        low, high = drive.bounds
         if not low <= value <= high:
-            self.trip(f"{role} {guarded.quantity} of {value:g} is outside the limits {guarded.bounds}")
-        if guarded.heats:
+            self.trip(f"{role} {drive.quantity} of {value:g} is outside the limits {drive.bounds}")
+        if drive.heats:
             allowed = self._thermal.allowed[role]
             if not -allowed <= value <= allowed:
-                value = self._scaled(role, guarded, value, allowed)
-            elif guarded.scaled:
-                guarded.scaled = False
-            if value != guarded.demand:
-                guarded.tracking.ask(value)
-            guarded.demand, guarded.demand_square = value, value * value
-        if guarded.path is not None:
-            self._judge_angle(role, guarded.path, value)
-        guarded.axis.motion.command(value)
+                value = self._scaled(role, drive, value, allowed)
+            elif drive.scaled:
+                drive.scaled = False
+            if value != drive.demand:
+                drive.tracking.ask(value)
+            drive.demand, drive.demand_square = value, value * value
+        if drive.path is not None:
+            self._judge_angle(role, drive.path, value)
+        drive.axis.motion.command(value)
 
-    def _scaled(self, role: str, guarded: _Guarded, value: float, allowed: float) -> float:
+    def _scaled(self, role: str, drive: _SupervisedDrive, value: float, allowed: float) -> float:
         """Return the part of a current [A] that the winding may carry; warn once as scaling begins."""
-        if not guarded.scaled:
-            guarded.scaled = True
+        if not drive.scaled:
+            drive.scaled = True
             self.warnings.append(
                 f"{role} current of {value:g} A is scaled down, to {allowed:.1f} A at first: the hottest phase"
                 f" may be at {self._thermal.hottest[role]:.1f} degC"
@@ -339,22 +339,22 @@ class Supervisor:
             pace.look(now)
         flowing, stall = self._heating
         on_time = elapsed < stall
-        for index, guarded, tracking, motion, q_axis, direct, angle, velocity, look, log in self._judged:
+        for index, drive, tracking, motion, q_axis, direct, angle, velocity, look, log in self._judged:
             values = motion.values
             look(values, now)
-            if guarded.path is not None:
-                guarded.path.exchanged(guarded.measured_angle, motion.engaged, now)
+            if drive.path is not None:
+                drive.path.exchanged(drive.measured_angle, motion.engaged, now)
             current = values[q_axis]
             if tracking.low <= current and current <= tracking.high:
                 tracking.since = NAN
             else:
                 speed = NAN if velocity is None else values[velocity]
                 tracking.look(current, speed, now)
-            square, demand_square = current * current, guarded.demand_square
+            square, demand_square = current * current, drive.demand_square
             if direct is not None:
                 square += values[direct] ** 2  # the d-axis current makes no torque, but as much heat
-            if not square >= guarded.previous_square:  # a reading that is no number counts as the largest current
-                square = guarded.previous_square if square == square else self._worst
+            if not square >= drive.previous_square:  # a reading that is no number counts as the largest current
+                square = drive.previous_square if square == square else self._worst
             # in a stall, longer than a cycle, the current before it may have continued
             heat = (square if on_time or square > flowing[index] else flowing[index]) * elapsed
             log += (
@@ -363,15 +363,15 @@ class Supervisor:
                 NAN if angle is None else values[angle],
                 NAN if velocity is None else values[velocity],
             )
-            guarded.previous_square = demand_square
+            drive.previous_square = demand_square
             flowing[index] = square if square > demand_square else demand_square
         for rows, evidence, index, first, velocity, current, second, second_current in self._witnessed:
             readings = first.values
             rows.append((evidence.values[index], readings[velocity], readings[current], second.values[second_current]))
         if now >= self._due:
-            self._look_at_all(now)
+            self._check_slowly(now)
 
-    def _look_at_all(self, now: float) -> None:
+    def _check_slowly(self, now: float) -> None:
         """Judge what is not due in every cycle: windings, ages of the other streams, stuck channels, second sensors."""
         guard = self._thermal
         if now >= guard.due:
@@ -379,7 +379,7 @@ class Supervisor:
             if too_hot:
                 self.trip(too_hot)
             if self._velocities is not None:
-                servoed = any(guarded.path is not None for guarded in self._axes.values())
+                servoed = any(drive.path is not None for drive in self._axes.values())
                 self._velocities.look(guard.advanced, () if servoed else self._axes)
         if now >= self._ages_due:
             self._ages_due = min((panel.check_age(now) for panel in self._lasting), default=math.inf)
@@ -440,11 +440,11 @@ class Supervisor:
     def latch(self, cause: str) -> None:
         """Latch a trip: refuse all commands from now on, release every drive, and switch off every supply at leads."""
         self.tripped = self.tripped or cause or "the run has ended"
-        for guarded in self._axes.values():
+        for drive in self._axes.values():
             with suppress(
                 Exception
             ):  # a driver that fails here is made safe by `make_safe` later, and must hide no trip
-                guarded.axis.motion.release()
+                drive.axis.motion.release()
         self.supplies.cut()
 
     # -- the end -----------------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from leactl.runner.loop import Loop
 from leactl.runner.operators import granted
 from leactl.runner.progress import Progress
 from leactl.runner.request import Request, prepare
-from leactl.runner.stop_requests import People, StopRequest, Wishes
+from leactl.runner.stop_requests import OperatorInput, RunControl, StopRequest
 from leactl.runner.watchdog import Unwatched
 from leactl.safety.supervisor import Axis, Supervisor
 from tests.benchmarks.replay import RehearsedBus
@@ -122,7 +122,7 @@ def prepared(request: Request, wiring: Rehearsal, number: int, flush=FlushByCycl
         bench,
         supervisor,
         Unwatched(),
-        People(StopRequest(), Wishes(), granted),
+        RunControl(StopRequest(), OperatorInput(), granted),
         Recording(writer, flush(writer), progress, ChannelLimits((), bench.streams(), request.bench.name)),
     )
     return loop, bench, writer, progress

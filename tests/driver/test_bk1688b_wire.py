@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from leactl_plugins.bk1688b import answers
+from leactl_plugins.bk1688b import replies
 from leactl_plugins.bk1688b.settings import Bk1688bSettings
 from pydantic import ValidationError
 
@@ -400,7 +400,7 @@ def test_presets_are_kept_and_run():
 
 @given(st.one_of(st.binary(max_size=20), st.from_regex(rb"[0-9]{5,10}\nOK", fullmatch=True)))
 def test_an_answer_is_read_or_refused_never_anything_else(answer):
-    for read, digits in ((answers.done, 0), (answers.levels, 6), (answers.display, 9)):
+    for read, digits in ((replies.parse_done, 0), (replies.parse_levels, 6), (replies.parse_display, 9)):
         try:
             read(answer)
         except Unreadable as error:
@@ -412,13 +412,13 @@ def test_an_answer_is_read_or_refused_never_anything_else(answer):
 
 @given(st.integers(0, 9999), st.integers(0, 9999), st.booleans())
 def test_every_display_is_read(centivolts, centiamperes, limited):
-    read = answers.display(f"{centivolts:04d}{centiamperes:04d}{limited:d}\nOK".encode())
+    read = replies.parse_display(f"{centivolts:04d}{centiamperes:04d}{limited:d}\nOK".encode())
     assert read == (centivolts / 100, centiamperes / 100, limited)
 
 
 def test_the_manual_s_own_examples():
-    assert answers.display(b"030201450\nOK") == (3.02, 1.45, False)
-    assert answers.levels(b"025051\nOK") == (25, 51)  # 2.5 V, 5.1 A
+    assert replies.parse_display(b"030201450\nOK") == (3.02, 1.45, False)
+    assert replies.parse_levels(b"025051\nOK") == (25, 51)  # 2.5 V, 5.1 A
 
 
 # -- settings --------------------------------------------------------------------------------------------------------

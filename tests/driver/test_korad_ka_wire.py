@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from leactl_plugins.korad_ka import answers
+from leactl_plugins.korad_ka import replies
 from leactl_plugins.korad_ka.models import RATINGS, SOLD_AS, model_of
 from leactl_plugins.korad_ka.settings import KoradKaSettings
 from pydantic import ValidationError
@@ -575,23 +575,23 @@ def test_the_far_end_loses_what_comes_too_soon(first, after_s, obeyed):
 @given(st.one_of(st.binary(max_size=8), st.from_regex(rb"[0-9]{0,2}\.[0-9]{0,4}.?", fullmatch=True)))
 def test_an_answer_is_read_or_refused_never_anything_else(answer):
     for read, form in (
-        (answers.hundredths, "{:05.2f}"),
-        (answers.thousandths, "{:.3f}"),
-        (answers.set_thousandths, "{:.3f}"),
+        (replies.parse_hundredths, "{:05.2f}"),
+        (replies.parse_thousandths, "{:.3f}"),
+        (replies.parse_set_thousandths, "{:.3f}"),
     ):
         try:
             value = read(answer)
         except Unreadable as error:
             assert "\n" not in str(error)
         else:
-            assert form.format(value / (100 if read is answers.hundredths else 1000)).encode() == answer[:5]
-            assert len(answer) == 5 or (read is answers.set_thousandths and len(answer) == 6)
+            assert form.format(value / (100 if read is replies.parse_hundredths else 1000)).encode() == answer[:5]
+            assert len(answer) == 5 or (read is replies.parse_set_thousandths and len(answer) == 6)
 
 
 @given(st.binary(max_size=40))
 def test_an_identity_is_read_or_refused(answer):
     try:
-        read = answers.identity(answer)
+        read = replies.parse_identity(answer)
     except Unreadable as error:
         assert "\n" not in str(error)
     else:
@@ -601,14 +601,14 @@ def test_an_identity_is_read_or_refused(answer):
 
 @given(st.integers(0, 9999), st.integers(0, 9999), st.binary(max_size=1))
 def test_every_value_is_read(hundredths, thousandths, stray):
-    assert answers.hundredths(f"{hundredths / 100:05.2f}".encode()) == hundredths
-    assert answers.thousandths(f"{thousandths / 1000:.3f}".encode()) == thousandths
-    assert answers.set_thousandths(f"{thousandths / 1000:.3f}".encode() + stray) == thousandths
+    assert replies.parse_hundredths(f"{hundredths / 100:05.2f}".encode()) == hundredths
+    assert replies.parse_thousandths(f"{thousandths / 1000:.3f}".encode()) == thousandths
+    assert replies.parse_set_thousandths(f"{thousandths / 1000:.3f}".encode() + stray) == thousandths
 
 
 @pytest.mark.parametrize("byte", range(256))
 def test_only_the_bits_on_which_all_agree_are_read(byte):
-    assert answers.status(bytes([byte])) == (bool(byte & 0x40), not byte & 1)
+    assert replies.parse_status(bytes([byte])) == (bool(byte & 0x40), not byte & 1)
 
 
 @given(
@@ -620,7 +620,7 @@ def test_only_the_bits_on_which_all_agree_are_read(byte):
 )
 def test_every_known_identity_is_read(name, blank, firmware, number, stray):
     answer = f"{name}{blank}V{firmware}{' SN:' if number else ''}{number}".encode() + stray
-    read = answers.identity(answer)
+    read = replies.parse_identity(answer)
     assert read == (name, firmware, number)
     assert model_of(read.name) in RATINGS
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from leactl_plugins.scpi_supply import answers
+from leactl_plugins.scpi_supply import replies
 from leactl_plugins.scpi_supply.dialects import DIALECTS
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 from pydantic import ValidationError
@@ -671,7 +671,13 @@ def test_nothing_but_output_on_switches_the_far_end_on(chunks):
 
 @given(st.binary(max_size=40))
 def test_an_answer_is_read_or_refused_never_anything_else(line):
-    for read in (answers.number, answers.truth, answers.register, answers.entry, answers.identity):
+    for read in (
+        replies.parse_level,
+        replies.parse_boolean,
+        replies.parse_register,
+        replies.parse_error_entry,
+        replies.parse_identity,
+    ):
         try:
             value = read(line)
         except Unreadable as error:
@@ -683,18 +689,18 @@ def test_an_answer_is_read_or_refused_never_anything_else(line):
 @given(st.floats(-1e4, 1e4), st.sampled_from(["{:+.8E}", "{:.4f}", "{:g}"]))
 def test_every_number_that_a_supply_prints_is_read(value, form):
     text = form.format(value)
-    assert answers.number(text.encode()) == float(text)
+    assert replies.parse_level(text.encode()) == float(text)
 
 
 @given(st.floats(-20, 20), st.sampled_from(["e36xx", "dp800"]))
 def test_every_reading_that_a_supply_prints_is_read_and_no_rest_of_one_is_another(value, dialect):
     form = DIALECTS[dialect]("", 0).reading
     text = FailingSupplyEnd(dialect)._number(value)
-    assert answers.reading(text.encode(), form, 20.0) == float(text)
+    assert replies.parse_reading(text.encode(), form, 20.0) == float(text)
     if dialect == "e36xx":
         for lost in range(1, len(text)):
             with pytest.raises(Unreadable):
-                answers.reading(text[lost:].encode(), form, 20.0)
+                replies.parse_reading(text[lost:].encode(), form, 20.0)
 
 
 @pytest.mark.parametrize(
@@ -702,7 +708,7 @@ def test_every_reading_that_a_supply_prints_is_read_and_no_rest_of_one_is_anothe
 )
 def test_what_is_no_number_is_refused(text):
     with pytest.raises(Unreadable):
-        answers.number(text)
+        replies.parse_level(text)
 
 
 class Chunks:

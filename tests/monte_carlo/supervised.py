@@ -14,7 +14,7 @@ from leactl.runner.flushing import Recording
 from leactl.runner.loop import Loop
 from leactl.runner.operators import granted
 from leactl.runner.progress import Progress
-from leactl.runner.stop_requests import People, StopRequest, Wishes
+from leactl.runner.stop_requests import OperatorInput, RunControl, StopRequest
 from leactl.runner.thermal_admission import guard_settings, motors_of
 from leactl.runner.watchdog import Unwatched
 from leactl.safety.current_tracking import VoltageNeed
@@ -165,9 +165,9 @@ def _loop(plan: Plan, bench: DirectBench, supervisor: Supervisor | Unsupervised)
     nothing = NoFile()
     progress = Progress(plan.name, plan.duration_s, bench.streams())
     limits = ChannelLimits((), bench.streams(), bench.file.name)
-    people = People(StopRequest(), Wishes(), granted)
+    control = RunControl(StopRequest(), OperatorInput(), granted)
     recording = Recording(nothing, nothing, progress, limits)  # type: ignore[arg-type]
-    loop = Loop(plan, bench, supervisor, Unwatched(), people, recording)  # type: ignore[arg-type]
+    loop = Loop(plan, bench, supervisor, Unwatched(), control, recording)  # type: ignore[arg-type]
     status, reason = "complete", ""
     try:
         loop.run()

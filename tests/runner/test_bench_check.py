@@ -15,7 +15,7 @@ from leactl.emulation.bench import emulated_bench
 from leactl.errors import AcceptanceFailed, DeviceError, InputError, SafetyTrip, Stopped
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
-from leactl.runner.bench_check.procedure import examine, reading, turning
+from leactl.runner.bench_check.check import check_bench, request_at_rest, request_turning
 from leactl.runner.bench_check.statement import StatementVerdict, ratio, wrong
 from leactl.runner.bench_check.turning import Slope, factor_of_a_turn, slopes
 from leactl.runner.operators import granted
@@ -85,10 +85,10 @@ def checked(tmp_path, monkeypatch):
             def loses(self, frame):
                 return lost is not None and frame.identifier == lost[0] and self.time.now() >= lost[1]
 
-        rest = reading(str(path), setup, tmp_path, False, False, ())
-        turn = turning(str(path), current, setup, tmp_path, False, False, ()) if move else None
+        rest = request_at_rest(str(path), setup, tmp_path, False, False, ())
+        turn = request_turning(str(path), current, setup, tmp_path, False, False, ()) if move else None
         monkeypatch.setattr(emulated_bench, "EmulatedBench", Wired)
-        examined = examine(rest, turn, lambda request: execute(request, granted, lambda _: nullcontext()), agrees)
+        examined = check_bench(rest, turn, lambda request: execute(request, granted, lambda _: nullcontext()), agrees)
         monkeypatch.undo()
         monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "state"))
         return examined
@@ -126,7 +126,7 @@ def test_a_shaft_of_a_twentieth_of_the_friction_swings_back_and_comes_to_rest(ch
 
 
 def test_a_move_goes_no_farther_and_no_faster_than_was_told_before(checked, tmp_path):
-    _request, move = turning("emulated", None, "", tmp_path, False, False, ())
+    _request, move = request_turning("emulated", None, "", tmp_path, False, False, ())
     angle, velocity = motion(checked().outcomes[-1])
     assert 0.4 * move.travel < np.abs(angle).max() < move.travel
     assert 0.5 * move.speed < np.abs(velocity).max() < move.speed

@@ -15,7 +15,7 @@ import numpy as np
 from leactl.analysis.estimate import NAN, Estimate, Grid, Noted, Plot, Result, Series, listed, tally
 from leactl.analysis.quality.channel_plausibility import AT_REST
 from leactl.analysis.responses.channel_response import EXCITATIONS, gain_and_phase
-from leactl.analysis.signals.levels import FEWEST_SAMPLES, settled_mean, span, standard_error
+from leactl.analysis.signals.levels import FEWEST_SAMPLES, samples_between, settled_mean, standard_error
 from leactl.analysis.statistics.regression import CONFIDENCE, Array, t_quantile
 from leactl.errors import InputError, MissingChannel
 from leactl.runfile.read.reader import Channel, Run, Step
@@ -210,7 +210,7 @@ def hold_estimates(
         if mean is None:
             lacking.append(name)
             continue
-        settled = span(channel, start, step.stop)
+        settled = samples_between(channel, start, step.stop)
         estimates += record_estimates(f"{label}_{name}", channel.time[settled], channel.values[settled], channel.units)
     if lacking:
         too_few.setdefault(tuple(lacking), []).append(label)

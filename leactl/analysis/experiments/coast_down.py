@@ -17,7 +17,7 @@ from leactl.analysis.experiments.friction import TorqueConstants, torque_constan
 from leactl.analysis.quality.sign_checks import refuse_below_zero
 from leactl.analysis.quality.usable_readings import usable_channel
 from leactl.analysis.quality.wrong_units import unit_notes
-from leactl.analysis.signals.levels import HoldSelector, settled_mean, span
+from leactl.analysis.signals.levels import HoldSelector, samples_between, settled_mean
 from leactl.analysis.statistics.intervals import quantisation_step, rounding_std
 from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.analysis.statistics.regression import Array, least_squares
@@ -176,7 +176,7 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
     if abs(speed.value - before[-1].setpoint) > MOST_MISSED * abs(before[-1].setpoint):
         raise NotIdentifiable("the velocity was not reached in the hold before it")
     direction = 1 if speed.value > 0.0 else -1
-    coasting = span(velocity, step.start + step.settle, step.stop)
+    coasting = samples_between(velocity, step.start + step.settle, step.stop)
     time, along = velocity.time[coasting], direction * velocity.values[coasting]
     usable = np.isfinite(along)
     if run.has(ENABLED):
@@ -196,7 +196,7 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
     if along.max() > (1.0 + MOST_ABOVE_HELD) * abs(speed.value):
         raise NotIdentifiable("the rotor was faster than in the hold before it")
     fitted, fit = fit_of(time - time[0], along)
-    held_current = current.values[span(current, before[-1].start, before[-1].stop)]
+    held_current = current.values[samples_between(current, before[-1].start, before[-1].stop)]
     rounding = rounding_std(held_current, quantisation_step(current.values)) / abs(drive.value)
     along_motion = direction * drive.value
     run_out = RunOut(

@@ -62,7 +62,17 @@ def energy(supply: SupplyRecord) -> Array:
 
 
 def guesses(thin_records: Sequence[HeatingRecord]) -> list[Array]:
-    """Return starting points of the network's five unknowns, from the record with the largest rise."""
+    """Return starting points for the fit of a two-node network, from the record with the largest rise.
+
+    The record counts as nearly steady at its end, so that rises over heat give the resistances; its housing's time to
+    half of its rise gives the time constant. Shares and ratios that no rise tells are tried (`SHARES`,
+    `CAPACITANCE_RATIOS`).
+
+    Returns
+    -------
+    Arrays of five: conductance of the winding to the air [W/K], then the logarithms of the resistances winding to
+    housing and housing to air [K/W] and of the capacitances of winding and housing [J/K].
+    """
     hottest = max(thin_records, key=lambda record: float(np.nanmax(record.winding) - np.nanmin(record.winding)))
     housing, winding, supply = hottest.housing, hottest.winding, hottest.supply
     cold = float(np.nanmin(housing)) if hottest.ambient is None else float(np.mean(hottest.ambient))
@@ -79,14 +89,12 @@ def guesses(thin_records: Sequence[HeatingRecord]) -> list[Array]:
     points = []
     for share in SHARES:
         heat_into_housing = heat * (1.0 - share)
-        wh, ha = difference / heat_into_housing, housing_rise / heat_into_housing
+        to_housing, to_ambient = difference / heat_into_housing, housing_rise / heat_into_housing
         for capacitance_ratio in CAPACITANCE_RATIOS:
-            housing_capacitance = time_constant / ha
-            points.append(
-                np.array(
-                    [share / (wh + ha), *np.log([wh, ha, housing_capacitance / capacitance_ratio, housing_capacitance])]
-                )
-            )
+            housing_capacitance = time_constant / to_ambient
+            winding_capacitance = housing_capacitance / capacitance_ratio
+            logarithms = np.log([to_housing, to_ambient, winding_capacitance, housing_capacitance])
+            points.append(np.array([share / (to_housing + to_ambient), *logarithms]))
     return points
 
 

@@ -15,7 +15,7 @@ from leactl.analysis.quality.hanging import RepeatedReading, hangs, longest_repe
 from leactl.analysis.quality.saturation import clipped
 from leactl.analysis.quality.sign_checks import SWAPPED
 from leactl.analysis.quality.wrong_units import LIMITS, beyond_limits
-from leactl.analysis.signals.levels import HoldSelector, span
+from leactl.analysis.signals.levels import HoldSelector, samples_between
 from leactl.runfile.read.reader import Array, Channel, Run
 
 DEMANDS = {
@@ -185,7 +185,7 @@ def demand_of(run: Run, channel: Channel, quantity: str = "") -> Array | None:
         return reference
     demand = np.full(len(channel.time), np.nan)
     for hold in HoldSelector(HELD[quantity], "", channel.role, unstated_role="test").holds_of(run):
-        demand[span(channel, hold.start, hold.stop)] = hold.setpoint
+        demand[samples_between(channel, hold.start, hold.stop)] = hold.setpoint
     return demand if np.isfinite(demand).any() else None
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.analysis.quality.saturation import noise_shows
-from leactl.analysis.signals.levels import Hold, span
+from leactl.analysis.signals.levels import Hold, samples_between
 from leactl.runfile.read.reader import Channel
 
 # share of readings equal to the one before; above it, the resolution is over 1.5 times the noise and hides repeats
@@ -26,7 +26,7 @@ def mask_repeats(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, int]
 
     A channel whose resolution hides its noise is returned unchanged.
     """
-    hold_slices = [span(channel, hold.start, hold.stop) for hold in holds]
+    hold_slices = [samples_between(channel, hold.start, hold.stop) for hold in holds]
     settled = [channel.values[in_hold][np.isfinite(channel.values[in_hold])] for in_hold in hold_slices]
     shares = [float(np.mean(values[1:] == values[:-1])) for values in settled if len(values) > 1]
     share = float(np.median(shares)) if shares else 1.0

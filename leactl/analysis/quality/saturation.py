@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.signals.levels import Hold, span
+from leactl.analysis.signals.levels import Hold, samples_between
 from leactl.runfile.read.reader import Channel
 
 Array = npt.NDArray[np.float64]
@@ -82,7 +82,7 @@ def one_way(values: Array) -> bool:
 
 def settled_values(channel: Channel, hold: Hold) -> Array:
     """Return the finite readings in the settled part of a hold."""
-    values = channel.values[span(channel, hold.start, hold.stop)]
+    values = channel.values[samples_between(channel, hold.start, hold.stop)]
     return values[np.isfinite(values)]
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from leactl.analysis.estimate import NAN, Noted, listed
 from leactl.analysis.quality.repeated_readings import mask_repeats
 from leactl.analysis.quality.saturation import saturated
-from leactl.analysis.signals.levels import CURRENT_HOLDS, Hold, HoldSelector, span
+from leactl.analysis.signals.levels import CURRENT_HOLDS, Hold, HoldSelector, samples_between
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run
 
@@ -49,7 +49,7 @@ def within_range(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, dict
         holds_by_end[value] = holds_at_end
         values = channel.values.copy()
         for hold in holds_at_end:
-            values[span(channel, hold.start, hold.stop)] = NAN
+            values[samples_between(channel, hold.start, hold.stop)] = NAN
         channel = replace(channel, values=values)
     return channel, holds_by_end
 

@@ -8,7 +8,7 @@ from leactl.analysis.estimate import Estimate, Grid, Noted, Plot, Series, listed
 from leactl.analysis.responses.blackman_tukey import FINER, BlackmanTukey, Mask, Response
 from leactl.analysis.responses.noise_records import MOST_UNEVEN_INTERVAL
 from leactl.analysis.responses.noise_response import LEAST_COHERENCE, MOST_POINTS
-from leactl.analysis.signals.levels import span
+from leactl.analysis.signals.levels import samples_between
 from leactl.analysis.statistics.regression import Array, t_quantile
 from leactl.runfile.read.reader import Channel, Run, Step
 
@@ -57,7 +57,7 @@ def moving_setpoint(run: Run, step: Step) -> Channel | None:
         for spec in specs:
             if spec.quantity.endswith("_reference") and spec.role == role:
                 channel = run.channel_at(f"{stream}/{spec.name}")
-                values = channel.values[span(channel, step.start + step.settle, step.stop)]
+                values = channel.values[samples_between(channel, step.start + step.settle, step.stop)]
                 if np.isfinite(values).any() and np.nanmax(values) > np.nanmin(values):
                     return channel
     return None
@@ -69,7 +69,7 @@ def response_of(setpoint: Channel, channel: Channel, step: Step) -> Response | s
 
     if len(channel.time) != len(setpoint.time) or not np.array_equal(channel.time, setpoint.time):
         return "not sampled with the setpoint"
-    settled = span(setpoint, step.start + step.settle, step.stop)
+    settled = samples_between(setpoint, step.start + step.settle, step.stop)
     time, reference, response_values = setpoint.time[settled], setpoint.values[settled], channel.values[settled]
     if len(time) < FEWEST:
         return f"fewer than {FEWEST} samples"

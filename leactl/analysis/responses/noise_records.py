@@ -46,7 +46,7 @@ class NoiseRecord:
     response: Array
 
 
-def records_of(run: Run, loop: NoiseExperiment) -> Noted[list[NoiseRecord]]:
+def records_of(run: Run, experiment: NoiseExperiment) -> Noted[list[NoiseRecord]]:
     """Return the usable records of noise of a run; notes say why others are left out.
 
     Raises
@@ -54,19 +54,19 @@ def records_of(run: Run, loop: NoiseExperiment) -> Noted[list[NoiseRecord]]:
     MissingChannel : the run lacks the reference or the response.
     NotIdentifiable : the run has no stretch of noise, or no usable one.
     """
-    reference, measured = run.channel(loop.reference, role="test"), run.channel(loop.response, role="test")
-    steps = [step for step in run.steps if _is_noise(step, loop.offset)]
+    reference, measured = run.channel(experiment.reference, role="test"), run.channel(experiment.response, role="test")
+    steps = [step for step in run.steps if _is_noise(step, experiment.offset)]
     if len(reference.time) != len(measured.time) or np.any(np.abs(reference.time - measured.time) > STAMP_ROUNDING_S):
-        raise NotIdentifiable(f"{run.path}: {loop.reference} and {loop.response} are not sampled together")
-    holds = [Hold(float(step.parameters[loop.offset]), 0, step.start + step.settle, step.stop) for step in steps]
+        raise NotIdentifiable(f"{run.path}: {experiment.reference} and {experiment.response} are not sampled together")
+    holds = [Hold(float(step.parameters[experiment.offset]), 0, step.start + step.settle, step.stop) for step in steps]
     clipping_value, clipped = saturated(measured, holds)
     clipped_starts = {hold.start for hold in clipped}
     records: list[NoiseRecord] = []
     left_out: dict[str, list[str]] = {}
     for step, hold in zip(steps, holds, strict=True):
-        record: NoiseRecord | str = f"{loop.response} is clipped at {clipping_value:g} {measured.units}"
+        record: NoiseRecord | str = f"{experiment.response} is clipped at {clipping_value:g} {measured.units}"
         if hold.start not in clipped_starts:
-            record = _record(str(run.path), reference, measured, step, loop)
+            record = _record(str(run.path), reference, measured, step, experiment)
         if isinstance(record, str):
             left_out.setdefault(record, []).append(f"{hold.setpoint:g} at {step.start:.1f} s")
         else:
@@ -74,7 +74,9 @@ def records_of(run: Run, loop: NoiseExperiment) -> Noted[list[NoiseRecord]]:
     if not records:
         reasons = "; ".join(f"{len(holds_left_out)}: {reason}" for reason, holds_left_out in left_out.items())
         description = (
-            f"{len(steps)} stretches of noise, none of use ({reasons})" if steps else f"no noise with {loop.offset}"
+            f"{len(steps)} stretches of noise, none of use ({reasons})"
+            if steps
+            else f"no noise with {experiment.offset}"
         )
         raise NotIdentifiable(f"{run.path}: found {description}; one with {FEWEST} samples in a row is needed")
     return Noted(records, tuple(tally(left_out, str(run.path))))
@@ -88,7 +90,7 @@ def _is_noise(step: Step, offset: str) -> bool:
 
 
 def _record(
-    run_path: str, reference: Channel, measured: Channel, step: Step, loop: NoiseExperiment
+    run_path: str, reference: Channel, measured: Channel, step: Step, experiment: NoiseExperiment
 ) -> NoiseRecord | str:
     """Return the longest gapless part of a stretch of noise, filtered; or the reason why the stretch is not used."""
     from scipy.signal import butter, sosfilt
@@ -113,7 +115,7 @@ def _record(
         return "too few samples in a row"
     noise_cutoff = step.parameters.get("cutoff_Hz")
     noise_cutoff = float(noise_cutoff) if isinstance(noise_cutoff, int | float) and noise_cutoff > 0 else math.inf
-    order, cutoff = loop.record_filter[0], loop.record_filter[1] * noise_cutoff
+    order, cutoff = experiment.record_filter[0], experiment.record_filter[1] * noise_cutoff
     sections = butter(order, cutoff, fs=1.0 / interval, output="sos") if cutoff < 0.5 / interval else None
     columns = []
     for channel in (reference, measured):
@@ -123,7 +125,7 @@ def _record(
     if not columns[0].std() > 0.0:
         return "the reference does not move"
     seed = step.parameters.get("seed", f"{run_path} {step.start:g}")
-    level = float(step.parameters[loop.offset])
+    level = float(step.parameters[experiment.offset])
     return NoiseRecord(level, seed, interval, noise_cutoff, *columns)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from leactl.analysis.estimate import Noted, tally
 from leactl.analysis.quality.saturation import piles_up, saturated
 from leactl.analysis.quality.wrong_units import unit_question
-from leactl.analysis.signals.levels import Hold, span
+from leactl.analysis.signals.levels import Hold, samples_between
 from leactl.analysis.statistics.regression import Array
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run, Step
@@ -99,7 +99,7 @@ def clipped_holds(channel: Channel, holds: Sequence[Hold], befores: Sequence[flo
     at rest looks like the end of the range; only a value that two levels share then counts as clipped.
     """
     value, at_end = saturated(channel, holds)
-    settled = [channel.values[span(channel, hold.start, hold.stop)] for hold in holds]
+    settled = [channel.values[samples_between(channel, hold.start, hold.stop)] for hold in holds]
     equal_shares = [np.mean(np.diff(values) == 0.0) for values in settled if len(values) > 1]
     if np.median(equal_shares or [0.0]) > 0.5:
         return value, {hold.start for hold in at_end if len({hold.setpoint for hold in at_end}) > 1}
@@ -113,7 +113,9 @@ def clipped_peaks(channel: Channel, holds: Sequence[Hold], befores: Sequence[flo
 
     An example is the top of an overshoot.
     """
-    spans = [span(channel, hold.start - before, hold.stop) for hold, before in zip(holds, befores, strict=True)]
+    spans = [
+        samples_between(channel, hold.start - before, hold.stop) for hold, before in zip(holds, befores, strict=True)
+    ]
     values_by_hold = [channel.values[samples][np.isfinite(channel.values[samples])] for samples in spans]
     readings = np.concatenate(values_by_hold) if values_by_hold else np.zeros(0)
     for extreme in (readings.max(), readings.min()) if len(readings) else ():

@@ -191,7 +191,7 @@ def _rows_of(
 
 def settled_mean(channel: Channel, start: float, stop: float) -> SettledMean | None:
     """Average the samples from start to before stop [s]; None with too few, or where the record ends too soon."""
-    samples_in = span(channel, start, stop)
+    samples_in = samples_between(channel, start, stop)
     values, time = channel.values[samples_in], channel.time[samples_in]
     finite = np.isfinite(values)
     count = int(finite.sum())
@@ -205,7 +205,7 @@ def settled_mean(channel: Channel, start: float, stop: float) -> SettledMean | N
     return SettledMean(value, standard_error(values), count, len(values) - count, tuple(quarters.tolist()))
 
 
-def span(channel: Channel, start: float, stop: float) -> slice:
+def samples_between(channel: Channel, start: float, stop: float) -> slice:
     """Return the slice of the samples taken from start to before stop [s].
 
     A sample that is itself a mean over the interval before its stamp counts if the whole interval is inside.
@@ -235,8 +235,8 @@ def standard_error(values: Array) -> float:
     correlation = np.fft.irfft(np.abs(spectrum) ** 2, size)[: len(values)] / square_sum
     tau = 2.0 * np.cumsum(correlation) - 1.0
     long_enough = np.flatnonzero(np.arange(len(tau)) >= WINDOW * tau)
-    time_constant = float(tau[long_enough[0]]) if len(long_enough) else len(values) / WINDOW
-    return math.sqrt(square_sum / (count - 1) * max(time_constant, 1.0) / count)
+    correlation_samples = float(tau[long_enough[0]]) if len(long_enough) else len(values) / WINDOW
+    return math.sqrt(square_sum / (count - 1) * max(correlation_samples, 1.0) / count)
 
 
 def require_levels(error_prefix: str, regressor: str, setpoints: Array, means: Array, errors: Array) -> None:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from leactl.analysis.signals.levels import span, standard_error
+from leactl.analysis.signals.levels import samples_between, standard_error
 from leactl.analysis.voltage_waves.waves import Angle, Array
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run
@@ -33,7 +33,7 @@ def shaft_motion(run: Run, angle: Angle) -> ShaftMotion:
     for quantity in ("angle", "velocity"):
         for role in ("test", "load"):
             for channel in run.channels(quantity, role):
-                samples = span(channel, start, stop)
+                samples = samples_between(channel, start, stop)
                 if np.isfinite(channel.values[samples]).sum() >= FEWEST:
                     motion = by_angle(channel, angle) if quantity == "angle" else by_velocity(channel, start, stop)
                     if abs(motion.turned) > 10.0 * motion.std:
@@ -78,7 +78,7 @@ def ripple_of(electrical: Array, shaft: Array, turned: float, angle: Angle) -> f
 
 def by_velocity(channel: Channel, start: float, stop: float) -> ShaftMotion:
     """Measure the rotation of the shaft from start to before stop [s] by its mean velocity; its ripple is 0."""
-    values = channel.values[span(channel, start, stop)]
+    values = channel.values[samples_between(channel, start, stop)]
     duration = stop - start
     return ShaftMotion(float(np.nanmean(values)) * duration, standard_error(values) * duration, 0.0)
 

@@ -59,13 +59,13 @@ class HeldOutTrials:
         model_before : model with these alone.
         """
         fitted = self.refit([*kept.causes, *stage])
-        by_equations = all(cause.effect in self.borne_out_by_equations for cause in stage)
+        equations_bear_out = all(cause.effect in self.borne_out_by_equations for cause in stage)
         limits_current = any(library()[cause.effect].limits_current for cause in stage)
         try_with = partial(
             self._of,
             model_before=model_before,
             beside_others=bool(kept.causes),
-            by_equations=by_equations,
+            equations_bear_out=equations_bear_out,
             limits_current=limits_current,
         )
         trial = try_with(fitted)
@@ -78,20 +78,20 @@ class HeldOutTrials:
         dropped = {cause.effect for cause in stage}
         fitted_without = self.refit([cause for cause in whole.fitted.causes if cause.effect not in dropped])
         comparison = self.simulate(with_fitted(self.model, fitted_without), whole.model)
-        return not refusal(comparison, [], beside_others=True, by_equations=False)
+        return not refusal(comparison, [], beside_others=True, equations_bear_out=False)
 
     def _of(
         self,
         fitted: FittedEffects,
         model_before: Model,
         beside_others: bool,
-        by_equations: bool,
+        equations_bear_out: bool,
         limits_current: bool,
     ) -> HeldOutTrial:
         model_after = with_fitted(self.model, fitted)
         comparison = self.simulate(model_before, model_after)
         bounds = at_bounds(fitted.calibration) if self.bounded_fit else []
-        reason = refusal(comparison, bounds, beside_others, by_equations)
+        reason = refusal(comparison, bounds, beside_others, equations_bear_out)
         if not reason and limits_current:
             reason = refusal_of_limit(comparison)
         return HeldOutTrial(fitted, model_after, comparison, reason)
@@ -181,12 +181,12 @@ def apply(
                     refused=(*nearest.refused, *(Near(cause.effect, GAP_GROWS) for cause in dropped)),
                 )
         return Applied(calibrated, augmented, fitted, shrunk, withdrawn, tuple(notes), refused)
-    bounded = at_bounds(without_effects) if bounded_fit else []
-    if not bounded:
+    parameters_at_bound = at_bounds(without_effects) if bounded_fit else []
+    if not parameters_at_bound:
         shrunk = simulate(calibrated, calibrated)
         if not calibration_worse(shrunk):
             return Applied(calibrated, calibrated, fitted, shrunk, False, tuple(notes), refused)
-    reason = f"{', '.join(bounded)} ended at a bound" if bounded else GAP_GROWS
+    reason = f"{', '.join(parameters_at_bound)} ended at a bound" if parameters_at_bound else GAP_GROWS
     notes.append(f"calibration is not applied: {reason}; the model stays as it was given")
     return Applied(model, model, FittedEffects((), ()), simulate(model, model), True, tuple(notes), refused)
 
@@ -233,23 +233,23 @@ def squares(shrunk: Shrunk, model: str, least: float = 0.0) -> float:
     return sum(max(float(getattr(line, model)) / line.floor_rms, least) ** 2 for line in lines)
 
 
-def refusal(shrunk: Shrunk, bounded: Sequence[str], beside_others: bool, by_equations: bool) -> str:
+def refusal(shrunk: Shrunk, at_bound: Sequence[str], beside_others: bool, equations_bear_out: bool) -> str:
     """Return why held-out runs do not confirm effects; empty where they do.
 
     In addition to other effects, an effect has to pass both tests of `Growth`. A replay accumulates every small error
     of its motion, which may hide a small effect, and a still smaller one is below the replay's floor. An effect that
     the equations of held-out runs show beyond chance is confirmed where the replay's gap does not grow.
     """
-    if bounded:
-        return f"calibration beside it ends at a bound ({', '.join(bounded)})"
+    if at_bound:
+        return f"calibration beside it ends at a bound ({', '.join(at_bound)})"
     gap_before, gap_after = (squares(shrunk, name, NEAR_FLOOR) for name in ("calibrated_rms", "augmented_rms"))
     if shrunk.growth.effects_worse or math.isnan(gap_after) or gap_after > GROWN * gap_before:
         return GAP_GROWS
     squares_before, squares_after = squares(shrunk, "calibrated_rms"), squares(shrunk, "augmented_rms")
-    by_equations &= shrunk.growth.by_effects[0] <= 0.0 and squares_after <= squares_before
-    if shrunk.growth.closed is False and not by_equations:
+    equations_bear_out &= shrunk.growth.by_effects[0] <= 0.0 and squares_after <= squares_before
+    if shrunk.growth.closed is False and not equations_bear_out:
         return "with it no gap of held-out runs shrinks beyond chance"
-    if beside_others and shrunk.growth.closed_alike is False and not by_equations:
+    if beside_others and shrunk.growth.closed_alike is False and not equations_bear_out:
         return "beside the others it shrinks the gap of few stretches of held-out runs, or of many by next to nothing"
     # runs too short to judge chance have to show at least that it shrinks
     undecided = shrunk.growth.closed is None and not shrunk.growth.by_effects[0] < 0.0

@@ -10,13 +10,13 @@ from leactl.driver.contract import Confirmation
 from leactl.driver.conversation import Query, Reply, Script, Unreadable, ask
 from leactl.driver.serial_supply import Regulation, SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
-from leactl_plugins.bk1688b import answers
-from leactl_plugins.bk1688b.answers import OK, Display, LevelCounts, at_the_end
+from leactl_plugins.bk1688b import replies
 from leactl_plugins.bk1688b.models import HIGHEST, LEAST_V, STEP_V, is_near
+from leactl_plugins.bk1688b.replies import OK, Display, LevelCounts, parse_last_line
 from leactl_plugins.bk1688b.settings import Bk1688bSettings
 
 ON, OFF = "SOUT0", "SOUT1"  # the manual's own sense
-DISPLAY = Query("GETD", answers.display, last=OK)
+DISPLAY = Query("GETD", replies.parse_display, last=OK)
 LOOKS = 40  # at the display, some 40 ms each, until a switched output has risen or fallen
 MARKS = 10  # settings from 1.0 V to 1.9 V
 SETTINGS_S = 1.0  # between two looks at what is set, which a person may change at the panel
@@ -39,7 +39,9 @@ class Bk1688bDialogue:
 
     def in_step(self) -> Script[LevelCounts]:
         """Query the settings and drop all replies before six digits, which belong to earlier queries."""
-        held: LevelCounts = yield from ask(Query("GETS", at_the_end(2, answers.levels), patient=True, last=OK))
+        held: LevelCounts = yield from ask(
+            Query("GETS", parse_last_line(2, replies.parse_levels), patient=True, last=OK)
+        )
         return held
 
     def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
@@ -50,11 +52,11 @@ class Bk1688bDialogue:
         """
         while True:
             yield b"\r"
-            yield from ask(Query(OFF, at_the_end(1, answers.done), patient=True, last=OK))
+            yield from ask(Query(OFF, parse_last_line(1, replies.parse_done), patient=True, last=OK))
             self._mark = (self._mark + 1) % MARKS
             volts = round(LEAST_V / STEP_V) + self._mark
-            yield from ask(Query(f"VOLT{volts:03d}", at_the_end(1, answers.done), patient=True, last=OK))
-            yield from ask(Query("GETS", at_the_end(2, _levels_with(volts)), patient=True, last=OK))
+            yield from ask(Query(f"VOLT{volts:03d}", parse_last_line(1, replies.parse_done), patient=True, last=OK))
+            yield from ask(Query("GETS", parse_last_line(2, _levels_with(volts)), patient=True, last=OK))
             shown: Display = yield from ask(DISPLAY)
             if not self._on(shown):
                 return Confirmation(True, f"output off, {_display_text(shown)}")
@@ -71,7 +73,7 @@ class Bk1688bDialogue:
         yield from self.output_off(off_trouble)
         off_trouble.text = ""
         try:
-            most: LevelCounts = yield from ask(Query("GMAX", answers.levels, last=OK))
+            most: LevelCounts = yield from ask(Query("GMAX", replies.parse_levels, last=OK))
         except NoAnswer:
             notices.append(f"does not tell its limits (GMAX); it is taken for a {self._settings.model}")
             yield from self.in_step()
@@ -105,7 +107,7 @@ class Bk1688bDialogue:
         self._regulation.begin_anew()
         yield from ask(_command(f"CURR{wanted.amperes:03d}"))
         yield from ask(_command(f"VOLT{wanted.volts:03d}"))
-        held: LevelCounts = yield from ask(Query("GETS", answers.levels, last=OK))
+        held: LevelCounts = yield from ask(Query("GETS", replies.parse_levels, last=OK))
         if held != wanted:
             raise DeviceError(f"{self._spelt(held)} are set after {self._spelt(wanted)} were commanded")
 
@@ -174,7 +176,7 @@ def _levels_with(volts: int) -> Callable[[bytes], LevelCounts]:
     """Parser of settings that refuses any other voltage."""
 
     def read(answer: bytes) -> LevelCounts:
-        levels_set = answers.levels(answer)
+        levels_set = replies.parse_levels(answer)
         if levels_set.volts != volts:
             raise Unreadable(f"{levels_set.volts} where {volts} was expected")
         return levels_set
@@ -183,7 +185,7 @@ def _levels_with(volts: int) -> Callable[[bytes], LevelCounts]:
 
 
 def _command(text: str) -> Query:
-    return Query(text, answers.done, last=OK)
+    return Query(text, replies.parse_done, last=OK)
 
 
 def _display_text(shown: Display) -> str:

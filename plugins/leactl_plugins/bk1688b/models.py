@@ -2,7 +2,7 @@
 
 from typing import Final, NamedTuple
 
-from leactl_plugins.bk1688b.answers import LevelCounts
+from leactl_plugins.bk1688b.replies import LevelCounts
 
 LEAST_V: Final = 1.0  # lowest voltage that can be set
 STEP_V: Final = 0.1

@@ -6,11 +6,11 @@ from leactl.driver.contract import Identity
 from leactl.driver.conversation import Query
 from leactl.driver.probe import LineProbe, Seen, Sighting
 from leactl.driver.serial_port import SerialPort
-from leactl_plugins.bk1688b import answers
-from leactl_plugins.bk1688b.answers import OK, LevelCounts
+from leactl_plugins.bk1688b import replies
 from leactl_plugins.bk1688b.models import RATINGS, STEP_V, is_near
+from leactl_plugins.bk1688b.replies import OK, LevelCounts
 
-LIMITS = Query("GMAX", answers.at_the_end(2, answers.levels), last=OK)
+LIMITS = Query("GMAX", replies.parse_last_line(2, replies.parse_levels), last=OK)
 SETTINGS = LIMITS._replace(text="GETS")
 MAKER = "BK Precision"
 

@@ -12,9 +12,9 @@ from leactl.driver.conversation import Pause, Query, Script, Unreadable, ask
 from leactl.driver.serial_port import SerialPort
 from leactl.driver.serial_supply import Regulation, SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
-from leactl_plugins.korad_ka import answers
-from leactl_plugins.korad_ka.answers import KoradIdentity, SupplyStatus
+from leactl_plugins.korad_ka import replies
 from leactl_plugins.korad_ka.models import RATINGS, SOLD_AS, STEP_A, STEP_V, TOO_SLOW, model_of
+from leactl_plugins.korad_ka.replies import KoradIdentity, SupplyStatus
 from leactl_plugins.korad_ka.settings import KoradKaSettings
 
 ON, OFF = "OUT1", "OUT0"
@@ -36,9 +36,9 @@ def _query(text: str, means: Callable[[bytes], Any]) -> Query:
     return Query(text, means, silence_s=END_S)
 
 
-SET_VOLTS, SET_AMPERES = _query("VSET1?", answers.hundredths), _query("ISET1?", answers.set_thousandths)
-VOLTS, AMPERES = _query("VOUT1?", answers.hundredths), _query("IOUT1?", answers.thousandths)
-STATUS, IDENTIFY = _query("STATUS?", answers.status), _query("*IDN?", answers.identity)
+SET_VOLTS, SET_AMPERES = _query("VSET1?", replies.parse_hundredths), _query("ISET1?", replies.parse_set_thousandths)
+VOLTS, AMPERES = _query("VOUT1?", replies.parse_hundredths), _query("IOUT1?", replies.parse_thousandths)
+STATUS, IDENTIFY = _query("STATUS?", replies.parse_status), _query("*IDN?", replies.parse_identity)
 
 
 class Levels(NamedTuple):

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 from leactl.driver.contract import TripAccuracy
 from leactl.driver.conversation import Query
-from leactl_plugins.scpi_supply import answers
+from leactl_plugins.scpi_supply import replies
 from leactl_plugins.scpi_supply.models import TRACKING
 
 ROUNDED, ROUNDED_BESIDE = 0.005, 0.01  # share of a level, and V or A
@@ -94,9 +94,9 @@ def _e36xx(_model: str, _output: int) -> ScpiDialect:
         "MEAS:VOLT?",
         "MEAS:CURR?",
         "OUTP {}",
-        Query("OUTP?", answers.truth),
-        Query("STAT:QUES:COND?", answers.register),
-        Query("SYST:ERR?", answers.entry),
+        Query("OUTP?", replies.parse_boolean),
+        Query("STAT:QUES:COND?", replies.parse_register),
+        Query("SYST:ERR?", replies.parse_error_entry),
         volts,
         amperes,
         EXPONENT,
@@ -115,25 +115,25 @@ def _e36300(model: str, output: int) -> ScpiDialect:
     together = "its outputs are switched or set together: " + INDEPENDENT
     demands = [
         RequiredAnswer(
-            Query(f"CURR:PROT:STAT? {at}", answers.word),
+            Query(f"CURR:PROT:STAT? {at}", replies.parse_word),
             ("0",),
             f"{OVER_CURRENT} is on, and would trip as soon as the output regulates its current: switch it off at the"
             " instrument",
         ),
-        RequiredAnswer(Query("OUTP:COUP:CHAN?", answers.word), ("NONE",), together),
-        RequiredAnswer(Query("OUTP:TRAC?", answers.word), ("0",), together),
+        RequiredAnswer(Query("OUTP:COUP:CHAN?", replies.parse_word), ("NONE",), together),
+        RequiredAnswer(Query("OUTP:TRAC?", replies.parse_word), ("0",), together),
     ]
     if model != "E36311A":  # whose outputs cannot be paired
-        demands.append(RequiredAnswer(Query("OUTP:PAIR?", answers.word), ("OFF",), together))
+        demands.append(RequiredAnswer(Query("OUTP:PAIR?", replies.parse_word), ("OFF",), together))
     return ScpiDialect(
         Level(f"VOLT {{}},{at}", f"VOLT? {at}"),
         Level(f"CURR {{}},{at}", f"CURR? {at}"),
         f"MEAS:VOLT? {at}",
         f"MEAS:CURR? {at}",
         f"OUTP {{}},{at}",
-        Query(f"OUTP? {at}", answers.truth),
-        Query(f"STAT:QUES:INST:ISUM{output}:COND?", answers.regulation),
-        Query("SYST:ERR?", answers.entry),
+        Query(f"OUTP? {at}", replies.parse_boolean),
+        Query(f"STAT:QUES:INST:ISUM{output}:COND?", replies.parse_regulation),
+        Query("SYST:ERR?", replies.parse_error_entry),
         Protection(OVER_VOLTAGE, Level(f"VOLT:PROT {{}},{at}", f"VOLT:PROT? {at}"), "", "", f"VOLT:PROT:TRIP? {at}"),
         None,
         EXPONENT,
@@ -163,14 +163,14 @@ def _dp800(model: str, output: int) -> ScpiDialect:
         demands = (
             *(
                 RequiredAnswer(
-                    Query(f"OUTP:TRAC? CH{number}", answers.word),
+                    Query(f"OUTP:TRAC? CH{number}", replies.parse_word),
                     ("OFF", "NONE"),
                     f"the voltages of outputs {pair[0]} and {pair[1]} follow each other: {INDEPENDENT}",
                 )
                 for number in (pair if output in pair else ())
             ),
             RequiredAnswer(
-                Query("SYST:ONOFFSYNC?", answers.word),
+                Query("SYST:ONOFFSYNC?", replies.parse_word),
                 ("OFF",),
                 "its outputs are switched together: " + INDEPENDENT,
             ),
@@ -181,11 +181,11 @@ def _dp800(model: str, output: int) -> ScpiDialect:
         f"MEAS:VOLT?{last}",
         f"MEAS:CURR?{last}",
         f"OUTP {first}{{}}",
-        Query(f"OUTP?{last}", answers.truth),
-        Query(f"STAT:QUES:INST:ISUM{output}:COND?", answers.regulation)
+        Query(f"OUTP?{last}", replies.parse_boolean),
+        Query(f"STAT:QUES:INST:ISUM{output}:COND?", replies.parse_regulation)
         if output
-        else Query("STAT:QUES:COND?", answers.register),
-        Query("SYST:ERR?", answers.entry),
+        else Query("STAT:QUES:COND?", replies.parse_register),
+        Query("SYST:ERR?", replies.parse_error_entry),
         volts,
         amperes,
         re.compile(r"-?\d{1,2}\.\d{3,4}", re.ASCII),  # 12.0035; three decimals stand in the guide as well
@@ -205,9 +205,9 @@ def _spd3303(_model: str, output: int) -> ScpiDialect:
         f"MEASure:VOLTage? CH{output}",
         f"MEASure:CURRent? CH{output}",
         f"OUTPut CH{output},{{}}",
-        Query(status, partial(answers.status_on, output=output)),
-        Query(status, partial(answers.status_regulation, output=output)),
-        Query("SYSTem:ERRor?", answers.loose_entry),
+        Query(status, partial(replies.parse_status_on, output=output)),
+        Query(status, partial(replies.parse_status_regulation, output=output)),
+        Query("SYSTem:ERRor?", replies.parse_loose_error_entry),
         None,
         None,
         re.compile(r"\d{1,2}\.\d{2,3}", re.ASCII),  # two decimals of an SPD3303X-E
@@ -215,7 +215,7 @@ def _spd3303(_model: str, output: int) -> ScpiDialect:
         local="",
         demands=(
             RequiredAnswer(
-                Query(status, answers.status_outputs),
+                Query(status, replies.parse_status_outputs),
                 ("independent",),
                 "its outputs are in series or in parallel: " + INDEPENDENT,
             ),

@@ -12,8 +12,7 @@ from leactl.driver.contract import Confirmation, TripAccuracy
 from leactl.driver.conversation import Pause, Query, Script, ask
 from leactl.driver.serial_supply import Regulation, SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault
-from leactl_plugins.scpi_supply import answers, models
-from leactl_plugins.scpi_supply.answers import ErrorEntry, InstrumentIdentity
+from leactl_plugins.scpi_supply import models, replies
 from leactl_plugins.scpi_supply.dialects import (
     DIALECTS,
     OVER_CURRENT,
@@ -23,13 +22,14 @@ from leactl_plugins.scpi_supply.dialects import (
     Level,
     Protection,
 )
+from leactl_plugins.scpi_supply.replies import ErrorEntry, InstrumentIdentity
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 
 MOST_ERRORS = 32  # the queue of an E36xx holds 20
 REGULATED = {1: "constant current", 2: "constant voltage"}  # the condition register, the same in all families
 SETTINGS_S = 1.0  # between two readings of the settings, which a person may change at the panel
 PAUSES = 5  # some 10 ms each, in which the last command is sent: a closed line drops unsent bytes
-IDENTIFY = Query("*IDN?", answers.identity, patient=True)
+IDENTIFY = Query("*IDN?", replies.parse_identity, patient=True)
 
 
 class ProtectionBefore(NamedTuple):
@@ -63,7 +63,7 @@ class ScpiDialogue:
         self._panel = ""  # fault text if the settings were changed at the panel
         self._earlier_protections: list[ProtectionBefore] = []  # protections before `set_up`, which `leave` restores
         volts, amperes = models.most(settings.model, output)
-        reading = partial(answers.reading, form=self._dialect.reading)
+        reading = partial(replies.parse_reading, form=self._dialect.reading)
         self._voltage = Query(self._dialect.measure_voltage, partial(reading, rating=volts))
         self._current = Query(self._dialect.measure_current, partial(reading, rating=amperes))
 
@@ -153,7 +153,10 @@ class ScpiDialogue:
             if (yield from ask(demand.question)) not in demand.accepted:
                 raise DeviceError(demand.otherwise)
         select = self._dialect.select
-        if select is not None and (selected := (yield from ask(Query(select.query, answers.number)))) != self._output:
+        if (
+            select is not None
+            and (selected := (yield from ask(Query(select.query, replies.parse_level)))) != self._output
+        ):
             raise DeviceError(f"output {selected:g} is selected after {select.command}")
 
     def _earlier_protections_of(
@@ -162,7 +165,7 @@ class ScpiDialogue:
         """Read the protections; raise if one is armed at a lower level than its limit, which is never raised."""
         protections = []
         for protection, key, limit in limits:
-            level = yield from ask(Query(protection.level.query, answers.number))
+            level = yield from ask(Query(protection.level.query, replies.parse_level))
             armed = yield from _armed(protection)
             if armed and level < limit - _off_by(limit):
                 raise DeviceError(
@@ -259,8 +262,8 @@ class ScpiDialogue:
 
     def _changed(self) -> Script[str]:
         """Text that names levels other than the commanded ones; empty if both are as commanded."""
-        volts: float = yield from ask(Query(self._dialect.voltage.query, answers.number))
-        amperes: float = yield from ask(Query(self._dialect.current.query, answers.number))
+        volts: float = yield from ask(Query(self._dialect.voltage.query, replies.parse_level))
+        amperes: float = yield from ask(Query(self._dialect.current.query, replies.parse_level))
         commanded = self._commanded
         if abs(volts - commanded.voltage) <= _off_by(commanded.voltage) and (
             abs(amperes - commanded.current) <= _off_by(commanded.current)
@@ -277,7 +280,7 @@ class ScpiDialogue:
     def _tripped(self) -> Script[str]:
         """Text that names a tripped protection; empty if none has tripped."""
         for protection in (self._dialect.over_voltage, self._dialect.over_current):
-            if protection is not None and (yield from ask(Query(protection.tripped, answers.truth))):
+            if protection is not None and (yield from ask(Query(protection.tripped, replies.parse_boolean))):
                 return f"{protection.name} has tripped"
         return ""
 
@@ -287,13 +290,13 @@ class ScpiDialogue:
             yield protection.switch.format("ON")
         if not (yield from _armed(protection)):
             raise DeviceError(f"{protection.name} does not stay on")
-        if (yield from ask(Query(protection.tripped, answers.truth))):
+        if (yield from ask(Query(protection.tripped, replies.parse_boolean))):
             raise DeviceFault(f"{protection.name} has tripped; find out why, then clear it at the instrument")
 
     def _written(self, level: Level, value: float) -> Script[float]:
         """Write a level and read it back; raise if it differs by more than rounding; returns when it was read [s]."""
         yield level.command.format(f"{value:.{self._dialect.decimals}f}")
-        reply = yield Query(level.query, answers.number)
+        reply = yield Query(level.query, replies.parse_level)
         assert reply is not None
         if not abs(reply.value - value) <= _off_by(value):
             raise DeviceError(f"{level.command.split()[0]} holds {reply.value:g} after {value:g} was written")
@@ -311,7 +314,7 @@ class ScpiDialogue:
 
 def _armed(protection: Protection) -> Script[bool]:
     """Whether a protection is armed; one without a switch always is."""
-    return bool((yield from ask(Query(protection.armed, answers.truth)))) if protection.switch else True
+    return bool((yield from ask(Query(protection.armed, replies.parse_boolean)))) if protection.switch else True
 
 
 def _levels_text(volts: float, amperes: float) -> str:

@@ -3,9 +3,9 @@
 from leactl.driver.contract import Identity
 from leactl.driver.probe import LineProbe, Seen, Sighting
 from leactl.driver.serial_port import SerialPort
-from leactl_plugins.scpi_supply.answers import InstrumentIdentity
 from leactl_plugins.scpi_supply.dialogue import IDENTIFY
 from leactl_plugins.scpi_supply.models import OUTPUTS, RANGES, dialect_of
+from leactl_plugins.scpi_supply.replies import InstrumentIdentity
 
 
 class ScpiProbe(LineProbe):

@@ -31,7 +31,7 @@ class ErrorEntry(NamedTuple):
     text: str
 
 
-def number(line: bytes) -> float:
+def parse_level(line: bytes) -> float:
     """Parse a set level.
 
     Raises
@@ -44,7 +44,7 @@ def number(line: bytes) -> float:
     return float(text)
 
 
-def reading(line: bytes, form: re.Pattern[str], rating: float) -> float:
+def parse_reading(line: bytes, form: re.Pattern[str], rating: float) -> float:
     """Parse a measured voltage or current strictly, because a part of a reply may be a number as well.
 
     Raises
@@ -60,7 +60,7 @@ def reading(line: bytes, form: re.Pattern[str], rating: float) -> float:
     return value
 
 
-def truth(line: bytes) -> bool:
+def parse_boolean(line: bytes) -> bool:
     """Parse a boolean.
 
     Raises
@@ -73,7 +73,7 @@ def truth(line: bytes) -> bool:
     return text in TRUE
 
 
-def register(line: bytes) -> int:
+def parse_register(line: bytes) -> int:
     """Parse the value of a status register.
 
     Raises
@@ -86,7 +86,7 @@ def register(line: bytes) -> int:
     return int(text)
 
 
-def regulation(line: bytes) -> int:
+def parse_regulation(line: bytes) -> int:
     """Parse how an output of several regulates: the two lowest bits of its condition register, 1 current, 2 voltage.
 
     Higher bits tell of protections, which are asked for by name.
@@ -95,10 +95,10 @@ def regulation(line: bytes) -> int:
     ------
     Unreadable : not a whole number from 0 to 65535.
     """
-    return register(line) & 0b11
+    return parse_register(line) & 0b11
 
 
-def word(line: bytes) -> str:
+def parse_word(line: bytes) -> str:
     """Parse one word or number without its quotes, in capitals.
 
     Raises
@@ -111,7 +111,7 @@ def word(line: bytes) -> str:
     return text
 
 
-def status_on(line: bytes, output: int) -> bool:
+def parse_status_on(line: bytes, output: int) -> bool:
     """Parse whether output 1 or 2 is on by the status of an SPD3303X.
 
     Raises
@@ -121,7 +121,7 @@ def status_on(line: bytes, output: int) -> bool:
     return bool(_status(line) >> (output + 3) & 1)
 
 
-def status_regulation(line: bytes, output: int) -> int:
+def parse_status_regulation(line: bytes, output: int) -> int:
     """Parse how output 1 or 2 regulates by the status of an SPD3303X: 1 current, 2 voltage, as in other families.
 
     Raises
@@ -131,7 +131,7 @@ def status_regulation(line: bytes, output: int) -> int:
     return 1 if _status(line) >> (output - 1) & 1 else 2
 
 
-def status_outputs(line: bytes) -> str:
+def parse_status_outputs(line: bytes) -> str:
     """Parse how the outputs of an SPD3303X are connected: independent, parallel or series.
 
     Raises
@@ -149,7 +149,7 @@ def _status(line: bytes) -> int:
     return int(match[1], 16)
 
 
-def entry(line: bytes) -> ErrorEntry:
+def parse_error_entry(line: bytes) -> ErrorEntry:
     """Parse an entry of the error queue.
 
     Raises
@@ -163,7 +163,7 @@ def entry(line: bytes) -> ErrorEntry:
     return ErrorEntry(int(match[1]), match[2])
 
 
-def loose_entry(line: bytes) -> ErrorEntry:
+def parse_loose_error_entry(line: bytes) -> ErrorEntry:
     """Parse an entry of an error queue that quotes no text and may separate it by blanks: `0  No Error`.
 
     Raises
@@ -177,7 +177,7 @@ def loose_entry(line: bytes) -> ErrorEntry:
     return ErrorEntry(int(match[1]), match[2].strip('"'))
 
 
-def identity(line: bytes) -> InstrumentIdentity:
+def parse_identity(line: bytes) -> InstrumentIdentity:
     """Parse the identity of the instrument; an SPD3303X has the version of its hardware behind the four fields.
 
     Raises

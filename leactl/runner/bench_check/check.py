@@ -71,7 +71,7 @@ class Move:
 
 
 @dataclass(frozen=True)
-class Examined:
+class BenchCheck:
     """Result of a check: its statements, and the runs that they are based on."""
 
     bench: str
@@ -94,7 +94,9 @@ class Examined:
         return AcceptanceFailed(f"{len(wrong_statements)} of {len(self.statements)} checks are wrong: {named}")
 
 
-def reading(bench: str, setup: str, directory: Path, realtime: bool, served: bool, buses: Sequence[str]) -> Request:
+def request_at_rest(
+    bench: str, setup: str, directory: Path, realtime: bool, served: bool, buses: Sequence[str]
+) -> Request:
     """Return the request for a run that reads every channel with all drives off.
 
     Raises
@@ -105,7 +107,7 @@ def reading(bench: str, setup: str, directory: Path, realtime: bool, served: boo
     return prepare_by_hand("check-at-rest", steps, bench, setup, directory, realtime, served, buses, everything=True)
 
 
-def turning(
+def request_turning(
     bench: str,
     current: float | None,
     setup: str,
@@ -138,17 +140,17 @@ def turning(
     return prepare_by_hand("check-swinging", steps, bench, setup, directory, realtime, served, buses), move
 
 
-def examine(
+def check_bench(
     reading_run: Request,
     turning_run: tuple[Request, Move] | None,
     perform: Callable[[Request], Outcome],
     agrees: Callable[[], bool],
-) -> Examined:
+) -> BenchCheck:
     """Check a bench at rest and then, if nothing is wrong and a person agrees, by turning its shaft.
 
     Parameters
     ----------
-    reading_run, turning_run : as `reading` and `turning` return them; None: the shaft is not turned.
+    reading_run, turning_run : as `request_at_rest` and `request_turning` return them; None: the shaft is not turned.
     perform : executes a request.
     agrees : asks the person at the bench; called just before the shaft is turned.
 
@@ -160,26 +162,26 @@ def examine(
     try:
         at_rest_outcome = perform(reading_run)
     except DeviceError as error:
-        return Examined(name, opening_statements(failures(reading_run)), (), error)
+        return BenchCheck(name, opening_statements(failures(reading_run)), (), error)
     with Run.open(at_rest_outcome.path) as run:
         statements = at_rest(run, reading_run, at_rest_outcome.reported)
-        examined = Examined(name, statements, (at_rest_outcome,), at_rest_outcome.error)
-        if turning_run is None or examined.end() is not None:
-            return examined
+        checked = BenchCheck(name, statements, (at_rest_outcome,), at_rest_outcome.error)
+        if turning_run is None or checked.end() is not None:
+            return checked
         request, move = turning_run
         try:
             move.check_room(run, reading_run.bench)
         except InputError as error:
-            return replace(examined, error=error)
+            return replace(checked, error=error)
     if not agrees():
-        return replace(examined, error=Stopped("not confirmed; nothing was moved (--yes confirms without a question)"))
+        return replace(checked, error=Stopped("not confirmed; nothing was moved (--yes confirms without a question)"))
     try:
         turning_outcome = perform(request)
     except LeactlError as error:
-        return replace(examined, error=error)
+        return replace(checked, error=error)
     with Run.open(turning_outcome.path) as run:
         statements += Turning(run, request).statements()
-    return Examined(name, statements, (at_rest_outcome, turning_outcome), turning_outcome.error)
+    return BenchCheck(name, statements, (at_rest_outcome, turning_outcome), turning_outcome.error)
 
 
 def _move(file: BenchFile, roles: Sequence[str], chosen: float | None, setup: str) -> Move:
@@ -187,7 +189,7 @@ def _move(file: BenchFile, roles: Sequence[str], chosen: float | None, setup: st
 
     Parameters
     ----------
-    chosen : current of each drive [A]; None: see `turning`.
+    chosen : current of each drive [A]; None: see `request_turning`.
 
     Raises
     ------

@@ -23,7 +23,7 @@ class KoradIdentity(NamedTuple):
     serial_number: str
 
 
-def hundredths(answer: bytes) -> int:
+def parse_hundredths(answer: bytes) -> int:
     """Parse a voltage, `12.34`, in steps of 0.01 V.
 
     Raises
@@ -36,7 +36,7 @@ def hundredths(answer: bytes) -> int:
     return int(match[1] + match[2])
 
 
-def thousandths(answer: bytes) -> int:
+def parse_thousandths(answer: bytes) -> int:
     """Parse a current, `0.125`, in steps of 0.001 A.
 
     Raises
@@ -49,17 +49,17 @@ def thousandths(answer: bytes) -> int:
     return int(match[1] + match[2])
 
 
-def set_thousandths(answer: bytes) -> int:
+def parse_set_thousandths(answer: bytes) -> int:
     """Parse a set current; some firmwares send a meaningless sixth byte after it.
 
     Raises
     ------
     Unreadable : another form.
     """
-    return thousandths(answer[:5] if len(answer) == 6 else answer)
+    return parse_thousandths(answer[:5] if len(answer) == 6 else answer)
 
 
-def status(answer: bytes) -> SupplyStatus:
+def parse_status(answer: bytes) -> SupplyStatus:
     """Parse the one byte of the state.
 
     Raises
@@ -71,7 +71,7 @@ def status(answer: bytes) -> SupplyStatus:
     return SupplyStatus(bool(answer[0] & ON), not answer[0] & CONSTANT_VOLTAGE)
 
 
-def identity(answer: bytes) -> KoradIdentity:
+def parse_identity(answer: bytes) -> KoradIdentity:
     """Parse name, firmware and serial number; some firmwares send a byte after them that is no text.
 
     Raises

@@ -25,7 +25,7 @@ class Display(NamedTuple):
     limited: bool  # True: constant current; False: constant voltage
 
 
-def done(answer: bytes) -> None:
+def parse_done(answer: bytes) -> None:
     """Check the reply to a command.
 
     Raises
@@ -36,7 +36,7 @@ def done(answer: bytes) -> None:
         raise Unreadable(f"{_shown(answer)} where OK was expected")
 
 
-def levels(answer: bytes) -> LevelCounts:
+def parse_levels(answer: bytes) -> LevelCounts:
     """Parse two levels (settings or limits).
 
     Raises
@@ -49,7 +49,7 @@ def levels(answer: bytes) -> LevelCounts:
     return LevelCounts(int(match[1]), int(match[2]))
 
 
-def display(answer: bytes) -> Display:
+def parse_display(answer: bytes) -> Display:
     """Parse the display.
 
     Raises
@@ -62,7 +62,7 @@ def display(answer: bytes) -> Display:
     return Display(int(match[1]) / 100, int(match[2]) / 100, match[3] == b"1")
 
 
-def at_the_end(lines: int, means: Callable[[bytes], Value]) -> Callable[[bytes], Value]:
+def parse_last_line(lines: int, means: Callable[[bytes], Value]) -> Callable[[bytes], Value]:
     """Parse only the last lines of a reply: the end of an earlier reply without its `OK` may precede them."""
     return lambda answer: means(b"\n".join(answer.split(b"\n")[-lines:]))
 
