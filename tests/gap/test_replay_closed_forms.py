@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from leactl.gap.replay import replay
@@ -214,6 +215,23 @@ def test_a_warm_housing_cools_with_its_time_constant():
     run = record("heated", seconds=2000.0, camera_s=1.0, warm=(expected, expected), slow=slow)
     job = replay(run, model(thermal=alone))
     assert job.slow["housing_temperature", "test"] == pytest.approx(expected, abs=0.02)
+
+
+@pytest.mark.parametrize("body", [30.0, 62.0, 75.0])
+def test_a_body_behind_a_warm_housing_starts_at_a_temperature_that_the_run_tells(body):
+    """Three coupled nodes without heat, the third of which is cooler or hotter than the housing and not measured."""
+    capacity, resistance, seconds = 400.0, 0.6, 120.0
+    wa, wh = 1 / THERMAL["winding_ambient_resistance"], 1 / THERMAL["winding_housing_resistance"]
+    ha, hb = 1 / THERMAL["housing_ambient_resistance"], 1 / resistance
+    flows = np.array([[-wa - wh, wh, 0.0], [wh, -wh - ha - hb, hb], [0.0, hb, -hb]])
+    flows /= np.array([THERMAL["winding_capacitance"], THERMAL["housing_capacitance"], capacity])[:, None]
+    start = np.array([70.0, 62.0, body]) - 25.0
+    rises = np.array([expm(flows * time) @ start for time in np.arange(0.0, seconds, 0.5)])
+    winding, housing = 25.0 + rises[:, 0], 25.0 + rises[:, 1]
+    run = record("locked", reference=0.0, seconds=seconds, camera_s=0.5, warm=(winding, housing))
+    job = replay(run, model(("third_thermal_node", {"capacitance": capacity, "resistance": resistance})))
+    assert job.slow["winding_temperature", "test"] == pytest.approx(winding, abs=0.05)
+    assert job.slow["housing_temperature", "test"] == pytest.approx(housing, abs=0.05)
 
 
 @pytest.mark.parametrize("moving", [False, True])

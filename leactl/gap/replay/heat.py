@@ -19,6 +19,8 @@ from leactl.gap.signals.smoothing import smooth
 STARTS, MOST_AT_START = 0.3, 20  # window of the start: share of a winding's time constant, and most samples
 FED_WIDTH = 8.0  # samples, smoothing of a share measured by a camera
 ALL_NODES = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])  # a further body begins as the housing
+FURTHER_BODY = np.array([0.0, 0.0, 1.0])
+TINY = 1e-300  # of squares that are all zero
 AWAY = 1e9  # K/W, resistance to a body that does not exist
 
 
@@ -112,29 +114,64 @@ class Network:
     def _start(self) -> Array:
         """Temperatures at the start, from which the first samples come out as they were measured on average.
 
-        The camera reads a fraction of the rise above ambient, which is undone first; a further body, which is not
-        measured, starts as the housing.
+        The camera reads a fraction of the rise above ambient, which is undone first. A further body is not measured: in
+        a run that may begin warm it starts at the temperature with which the whole run's temperatures come out best, as
+        the equations have it; elsewhere as the housing.
         """
         count = min(max(1, round(STARTS * warming(self.job.plant.model) / self.clock.interval)), MOST_AT_START)
         first = slice(0, min(count, self.count // 4) + 1)
         read = np.stack([self._first_of("winding_temperature", first), self._first_of("housing_temperature", first)])
         kept = [np.linalg.matrix_power(self.decay, step)[:2] @ ALL_NODES for step in range(read.shape[1])]
+        start = self._measured_start(read, kept, np.zeros(3))
+        if self.job.plant.further_node is None or self.job.record.mechanical == "heated":
+            return start
+        return self._measured_start(read, kept, self._excess_of_further_body(start, kept) * FURTHER_BODY)
+
+    def _measured_start(self, read: Array, kept: Sequence[Array], excess: Array) -> Array:
+        """Return the start from which the first readings, shape (2, samples), come out on average.
+
+        kept : shape (2, 2) each, winding and housing at each of these samples over winding and housing at the start.
+        excess : K, of the nodes above a start at which a further body is as warm as the housing.
+        """
         start = np.mean(read, axis=1)
         for _ in range(2):  # one pass is exact but for heat that depends on the temperature
-            course = stepped([self], (ALL_NODES @ start)[None], read.shape[1])[:, 0, :2]
+            course = stepped([self], (ALL_NODES @ start + excess)[None], read.shape[1])[:, 0, :2]
             start = start + np.linalg.solve(np.mean(kept, axis=0), np.mean(read - course.T, axis=1))
-        return np.asarray(ALL_NODES @ start, np.float64)
+        return np.asarray(ALL_NODES @ start + excess, np.float64)
+
+    def _excess_of_further_body(self, start: Array, kept: Sequence[Array]) -> float:
+        """Return the temperature of a further body above the housing's at the start [K], by least squares."""
+        whole = slice(0, self.count)
+        read = np.stack([self._undone("winding_temperature", whole), self._undone("housing_temperature", whole)])
+        residual = read - stepped([self], start[None], self.count)[:, 0, :2].T
+        by_body, by_housing = np.empty((2, self.count)), np.empty((2, 2, self.count))
+        nodes = np.column_stack([FURTHER_BODY, ALL_NODES])
+        for step in range(self.count):
+            by_body[:, step], by_housing[:, :, step] = nodes[:2, 0], nodes[:2, 1:]
+            nodes = self.decay @ nodes
+        first = len(kept)  # samples that come out as measured whatever the body does
+        answered = np.linalg.solve(np.mean(kept, axis=0), np.mean(by_body[:, :first], axis=1))
+        change = by_body - np.tensordot(by_housing, answered, (1, 0))
+        seen = np.isfinite(residual)
+        return float(np.sum((change * residual)[seen]) / max(float(np.sum(change[seen] ** 2)), TINY))
 
     def _first_of(self, name: str, first: slice) -> Array:
-        """The first temperatures that a camera read of a node, its fraction undone; the winding's where it saw none."""
-        values = self.clock.get(name)
-        if values is None:
-            values = self.clock.values["winding_temperature", "test"]
-        reading = values[first]
+        """The first temperatures of a node, with the error of their mean in a disturbed replay."""
+        node = self._undone(name, first)
         if self.job.disturbance is not None:
-            reading = reading + noise_of(values) / np.sqrt(len(reading)) * float(self.job.disturbance.standard_normal())
-        air = self.ambient[first]
-        return np.asarray(air + (reading - air) / self.job.plant.camera_fraction, np.float64)
+            error = noise_of(self._camera(name)) / np.sqrt(len(node)) * float(self.job.disturbance.standard_normal())
+            node = node + error / self.job.plant.camera_fraction
+        return node
+
+    def _undone(self, name: str, samples: slice) -> Array:
+        """The temperatures that a camera read of a node, its fraction undone."""
+        air = self.ambient[samples]
+        return np.asarray(air + (self._camera(name)[samples] - air) / self.job.plant.camera_fraction, np.float64)
+
+    def _camera(self, name: str) -> Array:
+        """The readings of a node by the camera; the winding's where it saw none."""
+        values = self.clock.get(name)
+        return self.clock.values["winding_temperature", "test"] if values is None else values
 
     def keep(self, nodes: Array) -> None:
         """Write the temperatures, and the readings of camera and supply, into the job."""
