@@ -54,7 +54,9 @@ def test_both_cases_are_named_and_their_gap_is_closed(scored):
     assert not any("first cause" in miss["question"] for miss in found["misses"])
 
 
-def test_who_is_told_the_effects_knows_the_stamps_of_a_machine_s_log_as_a_diagnosis_does(tmp_path):
+def test_who_is_told_the_effects_knows_the_stamps_of_a_machine_s_log_as_a_diagnosis_does(tmp_path, monkeypatch):
+    plans = [("single", ("quadratic_drag",), "faint"), ("single", ("position_dependent_friction",), "plain")]
+    monkeypatch.setattr("leactl.joints.make.plan", lambda *_: plans)  # whatever the library grows by
     made = ["gap", "blind", "make", "--machines", "1", "--cases", "2", "--kinds", "single", "--seed", "3"]
     CliRunner().invoke(app, [*made, "--out", str(tmp_path / "cases"), "--key", str(tmp_path / "key")])
     entries = json.loads((tmp_path / "key" / "key.json").read_text())["cases"]
