@@ -22,7 +22,7 @@ class VoltageLimit(Effect):
     limits_current = True
     refined = 2
     # stall current and current left at the highest speed: runs near that speed alone tell the second, not the first
-    forms = tuple(product((0.7, 1.0, 1.5, 2.5, 5.0, 12.0), (0.06, 0.085, 0.12, 0.17, 0.24, 0.34, 0.48, 0.68), (1.0,)))
+    forms = tuple(product((0.7, 1.0, 1.5, 2.5, 5.0, 10.0), (0.06, 0.085, 0.12, 0.17, 0.24, 0.34, 0.48, 0.68), (1.0,)))
     form_scales = ("highest current", "highest current", "highest speed")
 
     def terms(self, signals: Signals, form: Form) -> Terms:
