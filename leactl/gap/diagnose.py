@@ -31,14 +31,12 @@ from leactl.gap.signals.setpoints import marked, setpoint_notes
 from leactl.gap.signals.stamps import stamp_notes, stamped
 from leactl.gap.verdict.decision import LISTED, NAMED, UNKNOWN, verdict_of
 from leactl.gap.verdict.judge import (
-    REPLAY,
     Judged,
     RunRatios,
     Unexplained,
     judge,
     left_by_form,
     unexplained,
-    unexplained_by_replays,
     unexplained_in_a_run,
     unlike_fitted,
     unrest,
@@ -310,8 +308,6 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     if not (applied_forms or servo_runs or at_bounds(calibrated_alone)) and surprise.probability < UNKNOWN:
         off = unexplained_in_a_run(unrest_by_run), unlike_fitted(evidence, applied_forms, case.held_out)
         surprise = max(surprise, *off, key=lambda sign: sign.probability)
-    if not (names or servo_runs) and surprise.probability < UNKNOWN:
-        surprise = max(surprise, unexplained_by_replays(shrunk.channels), key=lambda sign: sign.probability)
     alternatives = [rival.candidate for item in judged for rival, _ in item.rivals]
     causes = pictured(causes, evidence, applied_forms, alternatives, case.held_out)
     causes = pictured_by_replays(causes, applied.fitted.causes, replayed, shrunk.channels)
@@ -320,8 +316,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         progress("describing what is left")
         refused_effects = nearest_effects(searched, judged, applied.refused)
         unexplained_notes = (surprise.note,)
-        described = described_channel(surprise, unrest(unrest_by_run))
-        unexplained_part = describe(evidence, applied_forms, described, case.held_out, refused_effects)
+        unexplained_part = describe(evidence, applied_forms, surprise.channel, case.held_out, refused_effects)
     return DiagnosisResult(
         verdict_of(causes, surprise.probability, calibrates),
         surprise.probability,
@@ -407,14 +402,6 @@ def left_over(evidence: Evidence, result: EffectSet) -> tuple[RunRatios, dict[Ch
     searched_rows = [not left_by_form(result, index) for index in range(len(evidence.stack.rows))]
     lines = ringing(evidence, evidence.settle(result.hypothesis), searched_rows)
     return unrest_of_runs(evidence, result), lines
-
-
-def described_channel(surprise: Unexplained, unrest_by_channel: Mapping[Channel, float]) -> Channel | None:
-    """Return the channel that shows the unexplained; of replays, the set-up's one farthest from a sound machine."""
-    if surprise.channel is None or surprise.channel[0] != REPLAY:
-        return surprise.channel
-    of_setup = [channel for channel in unrest_by_channel if channel[2] == surprise.channel[2]]
-    return max(of_setup, key=lambda channel: unrest_by_channel[channel], default=None)
 
 
 def doubted_by_residual(

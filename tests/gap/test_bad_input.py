@@ -127,7 +127,7 @@ CASES = {
     "half of it not measured": (
         every(with_values(half_missing)),
         MODEL,
-        "unknown",  # nothing can be calibrated: replays by the nominal model stay off
+        "none",
         "a fifth or more of velocity of test was not measured",
     ),
     "12 bits": (every(with_values(in_steps)), MODEL, "calibration", "the replay of levels-b"),

@@ -1,7 +1,6 @@
 """What is said of a set that was found: rivals by their evidence, lines and unrest by their height, notes once."""
 
 import dataclasses
-import math
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,22 +8,17 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnosis import Near
-from leactl.gap.replay.comparison import Compared
 from leactl.gap.search.ringing import Line
 from leactl.gap.search.sets import TIE, FurtherEffect
 from leactl.gap.signals.record import Record
 from leactl.gap.verdict.judge import (
     HALF,
     LINE,
-    REPLAY,
-    REPLAY_SHARE,
-    REPLAY_UNREST,
     RUN_UNREST,
     UNREST,
     Judged,
     judge,
     unexplained,
-    unexplained_by_replays,
     unexplained_in_a_run,
 )
 from leactl.gap.verdict.notes import gathered, unlike
@@ -105,33 +99,6 @@ def test_a_run_that_stands_out_of_its_channel_is_as_likely_as_not_at_its_thresho
     assert one.channel == CHANNEL
     assert f"of b ({CHANNEL[0]}) is {RUN_UNREST * height:.3g} times" in one.note
     assert "the middle one of 3 runs 1.2 times; are they of one machine" in one.note
-
-
-@pytest.mark.parametrize("height", [0.5, 0.9, 1.1, 3.0])
-@pytest.mark.parametrize("noise_share", [0.1, 1e-5])  # of the swing: a replay is as exact as the channel or less
-def test_a_replay_that_stays_far_off_is_as_likely_as_not_at_its_threshold(height, noise_share):
-    count = 4000
-    index = np.arange(count)
-    measured = np.sin(0.01 * index)
-    swing = float(np.std(measured))
-    allowed = swing * math.hypot(noise_share, REPLAY_SHARE)
-    replayed = measured + math.sqrt(height * REPLAY_UNREST) * allowed
-    sound = compared("q_axis_current", index, measured, measured, noise_share * swing)
-    one = unexplained_by_replays([sound, compared("velocity", index, measured, replayed, noise_share * swing)])
-    assert (one.probability > 0.5) is (height > 1.0)
-    assert one.channel == (REPLAY, "velocity", "free")
-    assert f"stay {math.sqrt(height * REPLAY_UNREST):.3g} times as far off" in one.note
-
-
-def test_a_channel_that_does_not_move_and_has_no_noise_shows_nothing():
-    index = np.arange(10)
-    assert unexplained_by_replays([compared("velocity", index, 0.0 * index, 0.0 * index, 0.0)]).note == ""
-
-
-def compared(quantity, index, measured, replayed, noise):
-    """A channel of a run whose three models replay it alike."""
-    rows = (index * 1e-3, index, index // 1000, measured, (replayed,) * 3, replayed)
-    return Compared("run", "ramp", "free", quantity, "test", *rows, noise, False)
 
 
 def test_a_run_does_not_stand_out_of_others_that_are_restless_too_nor_by_one_of_its_stretches():

@@ -12,14 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.effects import library
-from leactl.gap.replay.comparison import Compared
 from leactl.gap.search.confirm import transferred
 from leactl.gap.search.evidence import Evidence
 from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
 from leactl.gap.search.ringing import Line
 from leactl.gap.search.sets import LOOSE, TIE, EffectSet, FurtherEffect, apart
 from leactl.gap.signals.record import Record
-from leactl.gap.verdict.shrinkage import grouped
 
 EXACT_FORM_ERROR = 0.0005
 SURE, HALF, SLOPE = 0.998, 3.8, 2.5  # largest probability, height with even odds, and slope of the probability
@@ -31,10 +29,6 @@ NOISE_BESIDE = 1.6  # squared ratio of a row's noise to that of its differences,
 FORM_LEFT = 0.01  # share of the squares explained in a channel that inexact forms may leave there
 UNREST, UNREST_SLOPE = 5.0, 2.5  # unrest, over that of benches without effects, with even odds; and its slope
 RUN_UNREST = 25.0  # the same for one run whose median run is at rest, and for a held-out run's squares over fitted ones
-# squared gap of a held-out channel over what a sound machine's replay leaves, with even odds; and the share of the
-# channel's swing that a replay leaves where the channel's noise is less
-REPLAY_UNREST, REPLAY_SHARE = 64.0, 0.005
-REPLAY = "replay"  # stands for the equation where replays show something unexplained
 ONE_MACHINE = "are they of one machine in one state?"
 LINE, LINE_SLOPE = 1.28, 30.0  # height of a spectral line, over its neighbourhood, with even odds; and its slope
 
@@ -191,33 +185,6 @@ def unexplained_in_a_run(by_run: RunRatios) -> Unexplained:
             comparison = f"the middle one of {len(runs)} runs {typical:.3g} times"
             note = f"unexplained: {quantity} of {run} ({equation}) is {excess}, {comparison}; {ONE_MACHINE}"
             candidates.append(Unexplained(beyond_sound(ratio, RUN_UNREST), note, (equation, quantity, mechanical)))
-    return max(candidates, key=lambda candidate: candidate.probability)
-
-
-def unexplained_by_replays(channels: Sequence[Compared]) -> Unexplained:
-    """Judge the channel whose replays by the last model stay farthest from held-out runs.
-
-    What takes long to show, such as a slow drift of the motion, may be in no equation's residual.
-    """
-    candidates = [Unexplained(0.0, "")]
-    for group in grouped(channels):
-        channel = group[0]
-        squares, floor_squares = (
-            float(np.mean(np.concatenate(parts)))
-            for parts in ([one.squares(-1) for one in group], [one.floor_squares() for one in group])
-        )
-        swing_square = float(np.var(np.concatenate([one.measured for one in group])))
-        allowed = floor_squares + REPLAY_SHARE**2 * swing_square
-        if allowed > 0.0:
-            place = f"{channel.quantity}, {channel.mechanical}"
-            times = f"{math.sqrt(squares / allowed):.3g} times as far off held-out runs as a sound machine's"
-            candidates.append(
-                Unexplained(
-                    beyond_sound(squares / allowed, REPLAY_UNREST),
-                    f"unexplained: replays of {place} stay {times}",
-                    (REPLAY, channel.quantity, channel.mechanical),
-                )
-            )
     return max(candidates, key=lambda candidate: candidate.probability)
 
 
