@@ -29,15 +29,17 @@ class VoltageLimit(Effect):
         """What the limit takes from the model's current."""
         if signals.command is None or signals.following is None or signals.velocity is None or signals.looped is None:
             return {}
-        if form[1] >= form[0]:
+        if form[1] >= form[0]:  # a current that does not fall with speed: another limit
             return {}
-        cut = within_voltage(signals.command, signals.velocity, form[0], no_load_speed(form))
+        cut = within_voltage(signals.command, signals.velocity, form[0], unloaded_speed(form))
+        if np.array_equal(cut, signals.command):
+            return {}
         response = signals.looped(cut, np.zeros_like(cut), float(signals.command[0]))
         return {"current_following": {"strength": response - signals.following}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Stall current and no-load speed."""
-        return {"stall_current": form[0], "no_load_speed": no_load_speed(form)}
+        return {"stall_current": form[0], "no_load_speed": unloaded_speed(form)}
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
         """How much of the limit is there."""
@@ -53,14 +55,13 @@ class VoltageLimit(Effect):
         return form
 
 
-def no_load_speed(form: Form) -> float:
-    """Return the speed [rad/s] at which no current is left."""
+def unloaded_speed(form: Form) -> float:
+    """Return the no-load speed [rad/s] of a form."""
     stall_current, left, speed = form
     return speed / (1.0 - left / stall_current)
 
 
 def within_voltage(current: Array, velocity: Array, stall_current: float, no_load_speed: float) -> Array:
     """Return the current [A] that a voltage limit leaves of one that is asked for, at a speed [rad/s]."""
-    back_emf_share = velocity / no_load_speed
-    highest = stall_current * (1.0 - back_emf_share)
+    highest = stall_current * (1.0 - velocity / no_load_speed)
     return np.asarray(np.clip(current, highest - 2.0 * stall_current, highest), np.float64)

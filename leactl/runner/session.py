@@ -1,6 +1,6 @@
 """One run from checked inputs to a closed file: opens the bench, runs the loop, and always ends in the same order.
 
-The order at the end does not depend on the cause, and nothing that may fail or wait comes before the safety of control.
+The order at the end does not depend on the cause, and nothing that may fail or wait comes before the safety of people.
 First the supervisor makes the devices safe (test drive, load drive, the rest). Then a trip is latched, the view is
 closed, the file is closed with its status, and the devices are closed. A watchdog process acts if this fails, until the
 devices are safe.
@@ -41,7 +41,7 @@ Watch = Callable[[Progress], AbstractContextManager[object]]
 
 @dataclass(frozen=True)
 class RunContext:
-    """A run on its open bench, with its supervisor, watchdog and latch, the control who may end it, and its view."""
+    """A run on its open bench, with its supervisor, watchdog and latch, what people ask of it, and its view."""
 
     request: Request
     bench: Bench

@@ -51,7 +51,7 @@ class Axis(NamedTuple):
 
 @dataclass(slots=True)
 class _SupervisedDrive:
-    """One axis with the state of its supervision."""
+    """A drive with the state of its supervision."""
 
     axis: Axis
     panel: Panel
@@ -369,9 +369,9 @@ class Supervisor:
             readings = first.values
             rows.append((evidence.values[index], readings[velocity], readings[current], second.values[second_current]))
         if now >= self._due:
-            self._check_slowly(now)
+            self._check_what_is_due(now)
 
-    def _check_slowly(self, now: float) -> None:
+    def _check_what_is_due(self, now: float) -> None:
         """Judge what is not due in every cycle: windings, ages of the other streams, stuck channels, second sensors."""
         guard = self._thermal
         if now >= guard.due:

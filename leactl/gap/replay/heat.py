@@ -142,7 +142,12 @@ class Network:
     def _excess_of_further_body(self, start: Array, kept: Sequence[Array]) -> float:
         """Return the temperature of a further body above the housing's at the start [K], by least squares."""
         whole = slice(0, self.count)
-        read = np.stack([self._undone("winding_temperature", whole), self._undone("housing_temperature", whole)])
+        read = np.stack(
+            [
+                self._node_temperatures("winding_temperature", whole),
+                self._node_temperatures("housing_temperature", whole),
+            ]
+        )
         residual = read - stepped([self], start[None], self.count)[:, 0, :2].T
         by_body, by_housing = np.empty((2, self.count)), np.empty((2, 2, self.count))
         nodes = np.column_stack([FURTHER_BODY, ALL_NODES])
@@ -156,20 +161,26 @@ class Network:
         return float(np.sum((change * residual)[seen]) / max(float(np.sum(change[seen] ** 2)), TINY))
 
     def _first_of(self, name: str, first: slice) -> Array:
-        """The first temperatures of a node, with the error of their mean in a disturbed replay."""
-        node = self._undone(name, first)
+        """Return the first temperatures of a node; a disturbed replay adds the error of their mean."""
+        node = self._node_temperatures(name, first)
         if self.job.disturbance is not None:
-            error = noise_of(self._camera(name)) / np.sqrt(len(node)) * float(self.job.disturbance.standard_normal())
+            error = (
+                noise_of(self._camera_readings(name))
+                / np.sqrt(len(node))
+                * float(self.job.disturbance.standard_normal())
+            )
             node = node + error / self.job.plant.camera_fraction
         return node
 
-    def _undone(self, name: str, samples: slice) -> Array:
-        """The temperatures that a camera read of a node, its fraction undone."""
+    def _node_temperatures(self, name: str, samples: slice) -> Array:
+        """Return the temperatures of a node: what the camera read, with its fraction of the rise undone."""
         air = self.ambient[samples]
-        return np.asarray(air + (self._camera(name)[samples] - air) / self.job.plant.camera_fraction, np.float64)
+        return np.asarray(
+            air + (self._camera_readings(name)[samples] - air) / self.job.plant.camera_fraction, np.float64
+        )
 
-    def _camera(self, name: str) -> Array:
-        """The readings of a node by the camera; the winding's where it saw none."""
+    def _camera_readings(self, name: str) -> Array:
+        """Return the camera's readings of a node, or of the winding where it did not see the node."""
         values = self.clock.get(name)
         return self.clock.values["winding_temperature", "test"] if values is None else values
 
