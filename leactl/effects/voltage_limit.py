@@ -1,5 +1,6 @@
 """Voltage limit: the current is the model's, cut off where supply and back-EMF leave no more."""
 
+import math
 from collections.abc import Mapping
 from itertools import product
 
@@ -13,7 +14,8 @@ from leactl.model.nominal import Model
 class VoltageLimit(Effect):
     """A drive at the end of its voltage.
 
-    A voltage U drives U / R through a motor at rest and none at the speed U / K: steady state, without inductance.
+    A voltage U drives the stall current U / R through a motor at rest, and none at the no-load speed U / K. That is the
+    steady state, without inductance.
     """
 
     name = "voltage_limit"
@@ -21,7 +23,7 @@ class VoltageLimit(Effect):
     shaped = True
     limits_current = True
     refined = 2
-    # stall current and current left at the highest speed: runs near that speed alone tell the second, not the first
+    # stall current, current left at the highest speed, that speed: runs near it determine the second, not the first
     forms = tuple(product((0.7, 1.0, 1.5, 2.5, 5.0, 10.0), (0.06, 0.085, 0.12, 0.17, 0.24, 0.34, 0.48, 0.68), (1.0,)))
     form_scales = ("highest current", "highest current", "highest speed")
 
@@ -34,7 +36,7 @@ class VoltageLimit(Effect):
         cut = within_voltage(signals.command, signals.velocity, form[0], unloaded_speed(form))
         if np.array_equal(cut, signals.command):
             return {}
-        response = signals.looped(cut, np.zeros_like(cut), float(signals.command[0]))
+        response = signals.looped(cut, np.zeros_like(cut), float(cut[0]))
         return {"current_following": {"strength": response - signals.following}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
@@ -56,12 +58,15 @@ class VoltageLimit(Effect):
 
 
 def unloaded_speed(form: Form) -> float:
-    """Return the no-load speed [rad/s] of a form."""
+    """Return the no-load speed [rad/s] of a form; infinite where its limit does not fall with speed."""
     stall_current, left, speed = form
-    return speed / (1.0 - left / stall_current)
+    return speed / (1.0 - left / stall_current) if left < stall_current else math.inf
 
 
 def within_voltage(current: Array, velocity: Array, stall_current: float, no_load_speed: float) -> Array:
-    """Return the current [A] that a voltage limit leaves of one that is asked for, at a speed [rad/s]."""
-    highest = stall_current * (1.0 - velocity / no_load_speed)
-    return np.asarray(np.clip(current, highest - 2.0 * stall_current, highest), np.float64)
+    """Return the current [A] nearest to the one asked for that the voltage drives at a speed [rad/s].
+
+    Above the no-load speed the motor brakes even where no current is asked for.
+    """
+    drop = stall_current * velocity / no_load_speed
+    return np.asarray(np.clip(current, -stall_current - drop, stall_current - drop), np.float64)

@@ -202,9 +202,8 @@ class JointEffects:
             most = effect["power"] / drive["torque_constant"] / abs(speed) if speed else math.inf
             setpoint = min(max(setpoint, -most), most)
         for effect in self._each("voltage_limit"):
-            stall_current = effect["stall_current"]
-            highest = stall_current * (1.0 - speed / effect["no_load_speed"])
-            setpoint = min(max(setpoint, highest - 2.0 * stall_current), highest)
+            drop = effect["stall_current"] * speed / effect["no_load_speed"]
+            setpoint = min(max(setpoint, -effect["stall_current"] - drop), effect["stall_current"] - drop)
         motor_current = setpoint = self._delayed(setpoint)
         if drive["loop_bandwidth"]:
             lag = 1.0 / (2.0 * math.pi * drive["loop_bandwidth"])

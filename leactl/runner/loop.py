@@ -104,7 +104,7 @@ class Loop:
                     self._decide(action, actions)
                     continue
                 self._perform(action)
-                if self._operator_input.paused() and self._commanded.rests:
+                if self._operator_input.pause_wanted() and self._commanded.rests:
                     self._pause()
             self._cycle()
         except BaseException as error:
@@ -170,7 +170,7 @@ class Loop:
         self._pausing = True
         self._note("info", "operator", "paused")
         try:
-            while self._operator_input.paused():
+            while self._operator_input.pause_wanted():
                 if self.time - began > LONGEST_PAUSE_S:
                     raise Stopped(f"paused for {LONGEST_PAUSE_S:g} s")
                 self._cycle()
@@ -239,10 +239,10 @@ class Loop:
             self._progress.warnings.append(text)
         for source, text in self._bench.notices():
             self._note("warning", source, text)
-        for text in self._operator_input.remarks():
+        for text in self._operator_input.new_remarks():
             self._note("info", "operator", f"remark: {text}")
         wanted = "paused" if self._pausing else "pauses at the next rest"
-        self._progress.pause = wanted if self._operator_input.paused() else ""
+        self._progress.pause = wanted if self._operator_input.pause_wanted() else ""
         for source, texts in (("safety", self._supervisor.take_warnings()), ("recorder", self._flush.warnings())):
             for text in texts:
                 self._note("warning", source, text)

@@ -13,16 +13,12 @@ StopSource = Callable[[], str]
 """Called once a cycle; returns the cause for which the run has to stop, or an empty text."""
 
 
+@dataclass(frozen=True)
 class OperatorInput:
-    """Functions that tell whether a person wants the run to pause, and which remarks its record is to hold."""
+    """What people at the bench ask of a run besides its end; the loop calls both functions again and again."""
 
-    def __init__(
-        self,
-        paused: Callable[[], bool] = lambda: False,
-        remarks: Callable[[], Sequence[str]] = tuple,
-    ) -> None:
-        self.paused = paused  # whether a pause is wanted now
-        self.remarks = remarks  # those that came since the last call
+    pause_wanted: Callable[[], bool] = lambda: False  # a call may read the keys pressed since the last one
+    new_remarks: Callable[[], Sequence[str]] = tuple  # for the record, since the last call
 
 
 class StopRequest:
@@ -61,7 +57,7 @@ OperatorPrompt = Callable[[str], Callable[[], bool]]
 
 @dataclass(frozen=True)
 class RunControl:
-    """What connects a run to people: requests to stop it, requests to pause it, and prompts to the operator."""
+    """What connects a run to people: requests to stop it, pauses and remarks, and prompts to the operator."""
 
     stop: StopRequest
     operator_input: OperatorInput

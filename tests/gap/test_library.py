@@ -1,5 +1,6 @@
 """Every effect of the library keeps its definition's words and fills known places with finite columns."""
 
+import math
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from leactl.effects.contract import PLACES, Signals
 from leactl.effects.gear_backlash import SEEN
 from leactl.effects.joint_elasticity import HIGHEST
 from leactl.effects.plant import Plant
+from leactl.gap.search.parameters import propagated
 from leactl.gap.search.sets import SHAPE
 from leactl.gap.signals.effect_variables import OF_SIGNALS
 from leactl.model.nominal import DriveModel, Model
@@ -164,3 +166,19 @@ def test_no_shape_lies_between_what_two_forms_may_stand_for(name):
     assert len(SHAPED) >= 8
     for numbers in zip(*library()[name].forms, strict=True):
         assert all((above / below) ** 3 < SHAPE[1] / SHAPE[0] for below, above in pairwise(sorted(set(numbers))))
+
+
+def test_a_limit_that_does_not_fall_with_speed_has_no_no_load_speed():
+    effect = library()["voltage_limit"]
+    speeds = [
+        effect.parameters((2.0, left, 10.0), {"strength": 1.0}, MODEL)["no_load_speed"] for left in (1.0, 2.0, 3.0)
+    ]
+    assert speeds == [20.0, math.inf, math.inf]
+
+
+def test_a_parameter_that_a_usual_change_makes_infinite_has_an_infinite_variance():
+    def after(change):
+        return {"speed": 20.0 if change[0] < 1.0 else math.inf, "current": 2.0 + change[1]}
+
+    variances = propagated({"speed": 20.0, "current": 2.0}, after, np.array([[4.0, 0.0], [0.0, 0.25]]))
+    assert variances == {"speed": math.inf, "current": pytest.approx(0.25)}

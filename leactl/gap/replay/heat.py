@@ -18,9 +18,8 @@ from leactl.gap.signals.smoothing import smooth
 
 STARTS, MOST_AT_START = 0.3, 20  # window of the start: share of a winding's time constant, and most samples
 FED_WIDTH = 8.0  # samples, smoothing of a share measured by a camera
-ALL_NODES = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])  # a further body begins as the housing
+NODES_FROM_START = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])  # a further body begins as the housing
 FURTHER_BODY = np.array([0.0, 0.0, 1.0])
-TINY = 1e-300  # of squares that are all zero
 AWAY = 1e9  # K/W, resistance to a body that does not exist
 
 
@@ -115,13 +114,13 @@ class Network:
         """Temperatures at the start, from which the first samples come out as they were measured on average.
 
         The camera reads a fraction of the rise above ambient, which is undone first. A further body is not measured: in
-        a run that may begin warm it starts at the temperature with which the whole run's temperatures come out best, as
-        the equations have it; elsewhere as the housing.
+        a heated run it starts as the housing, in any other, which may begin warm, at the temperature with which those
+        of the whole run come out best.
         """
         count = min(max(1, round(STARTS * warming(self.job.plant.model) / self.clock.interval)), MOST_AT_START)
         first = slice(0, min(count, self.count // 4) + 1)
         read = np.stack([self._first_of("winding_temperature", first), self._first_of("housing_temperature", first)])
-        kept = [np.linalg.matrix_power(self.decay, step)[:2] @ ALL_NODES for step in range(read.shape[1])]
+        kept = [np.linalg.matrix_power(self.decay, step)[:2] @ NODES_FROM_START for step in range(read.shape[1])]
         start = self._measured_start(read, kept, np.zeros(3))
         if self.job.plant.further_node is None or self.job.record.mechanical == "heated":
             return start
@@ -135,30 +134,36 @@ class Network:
         """
         start = np.mean(read, axis=1)
         for _ in range(2):  # one pass is exact but for heat that depends on the temperature
-            course = stepped([self], (ALL_NODES @ start + excess)[None], read.shape[1])[:, 0, :2]
+            course = stepped([self], (NODES_FROM_START @ start + excess)[None], read.shape[1])[:, 0, :2]
             start = start + np.linalg.solve(np.mean(kept, axis=0), np.mean(read - course.T, axis=1))
-        return np.asarray(ALL_NODES @ start + excess, np.float64)
+        return np.asarray(NODES_FROM_START @ start + excess, np.float64)
 
     def _excess_of_further_body(self, start: Array, kept: Sequence[Array]) -> float:
-        """Return the temperature of a further body above the housing's at the start [K], by least squares."""
-        whole = slice(0, self.count)
-        read = np.stack(
-            [
-                self._node_temperatures("winding_temperature", whole),
-                self._node_temperatures("housing_temperature", whole),
-            ]
-        )
-        residual = read - stepped([self], start[None], self.count)[:, 0, :2].T
-        by_body, by_housing = np.empty((2, self.count)), np.empty((2, 2, self.count))
-        nodes = np.column_stack([FURTHER_BODY, ALL_NODES])
+        """Return the temperature of a further body above the housing's at the start [K].
+
+        By least squares over the run, with a prior: without a run that tells, it is as warm as the housing, within as
+        much as the housing is warmer than the ambient.
+        """
+        nodes = np.column_stack([FURTHER_BODY, NODES_FROM_START])
+        responses = np.empty((self.count, 2, 3))  # of winding and housing to the body, the winding and the housing
         for step in range(self.count):
-            by_body[:, step], by_housing[:, :, step] = nodes[:2, 0], nodes[:2, 1:]
+            responses[step] = nodes[:2]
             nodes = self.decay @ nodes
-        first = len(kept)  # samples that come out as measured whatever the body does
-        answered = np.linalg.solve(np.mean(kept, axis=0), np.mean(by_body[:, :first], axis=1))
-        change = by_body - np.tensordot(by_housing, answered, (1, 0))
-        seen = np.isfinite(residual)
-        return float(np.sum((change * residual)[seen]) / max(float(np.sum(change[seen] ** 2)), TINY))
+        by_body, by_start = responses[:, :, 0], responses[:, :, 1:]
+        # the start moves against the body, so that the first samples come out as measured on average
+        moved_start = np.linalg.solve(np.mean(kept, axis=0), np.mean(by_body[: len(kept)], axis=0))
+        change, course = by_body - by_start @ moved_start, stepped([self], start[None], self.count)[:, 0, :2]
+        prior = (start[1] - self.ambient[0]) ** 2
+        weighted_change, information = 0.0, 1.0
+        for node, name in enumerate(("winding_temperature", "housing_temperature")):
+            readings, measured_samples = self.clock.get(name), self.clock.all_valid((name, "test"))
+            noise = noise_of(readings) / self.job.plant.camera_fraction if readings is not None else 0.0
+            if noise > 0.0:
+                residual = self._node_temperatures(name, slice(0, self.count)) - course[:, node]
+                weight = prior / noise**2
+                weighted_change += weight * float(change[measured_samples, node] @ residual[measured_samples])
+                information += weight * float(np.sum(change[measured_samples, node] ** 2))
+        return weighted_change / information
 
     def _first_of(self, name: str, first: slice) -> Array:
         """Return the first temperatures of a node; a disturbed replay adds the error of their mean."""

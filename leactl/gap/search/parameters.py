@@ -248,6 +248,8 @@ def propagated(
 ) -> dict[str, float]:
     """Return the variance of each parameter to first order; infinite if it depends on a change that no run shows.
 
+    So it is where the parameter itself becomes infinite by a change.
+
     parameters_after : returns the parameters after a change.
     covariance : covariance of the changes.
     """
@@ -261,7 +263,9 @@ def propagated(
                 slopes[key][k] = (moved[key] - parameters[key]) / step
     finite = covariance[np.ix_(shown, shown)]
     return {
-        key: math.inf if slope[~shown].any() else max(float(slope[shown] @ finite @ slope[shown]), 0.0)
+        key: math.inf
+        if slope[~shown].any() or not np.isfinite(slope).all()
+        else max(float(slope[shown] @ finite @ slope[shown]), 0.0)
         for key, slope in slopes.items()
     }
 

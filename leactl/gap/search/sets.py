@@ -506,25 +506,33 @@ def strength_tells_form(name: str, form: Form) -> bool:
 
 
 class LocalShape(NamedTuple):
-    """How the gain changes about a form, per finest step of the search in each refined number that has a grid."""
+    """Gain about a form: that of the form + slope x - x curvature x, with x in finest steps of the search.
+
+    x has an entry for each refined number whose grid has two values or more.
+    """
 
     free: list[int]  # positions of these numbers
     steps: list[float]  # finest steps, on a logarithmic scale
     slope: npt.NDArray[np.float64]
-    curvature: npt.NDArray[np.float64]  # fall of the gain, without the slope
+    curvature: npt.NDArray[np.float64]
 
 
 def about_form(
     evidence: Evidence, others: list[Candidate], candidate: Candidate, ratios: Sequence[float]
 ) -> LocalShape | None:
-    """Measure slope and curvature of the gain about a form; None where a neighbouring form is not possible."""
+    """Measure slope and curvature of the gain about a form.
+
+    None where no number is refined, or a neighbouring form is not possible.
+    """
     name, form = candidate
     free = [index for index, ratio in enumerate(ratios) if ratio > 1.0]
+    if not free:
+        return None
     steps = [FINER[-1] * math.log(ratios[index]) for index in free]
-    moves = sorted({move for move in product((-1, 0, 1), repeat=len(free)) if sum(map(abs, move)) <= 2})
+    moves = [move for move in product((-1, 0, 1), repeat=len(free)) if sum(map(abs, move)) <= 2]
     forms = {move: moved(form, dict(zip(free, map(mul, move, steps), strict=True))) for move in moves}
     gains, all_possible = gains_of(evidence, others, [(name, forms[move]) for move in moves])
-    if not all_possible or not free:
+    if not all_possible:
         return None
 
     def both_ways(move: Sequence[int]) -> tuple[float, float]:
@@ -547,9 +555,10 @@ def moved(form: Form, logs: Mapping[int, float]) -> Form:
 
 
 def summit(evidence: Evidence, others: list[Candidate], candidate: Candidate, ratios: Sequence[float]) -> Form:
-    """Return the form at the end of a ridge on which two numbers compensate each other.
+    """Return the form of the largest gain nearby, by Newton steps.
 
-    The grid's points may all lie beside such a ridge. Newton steps follow it, none longer than the grid's first ones.
+    Where two numbers compensate each other, the points of a grid may all lie beside the ridge that leads there. No step
+    is longer than the first ones of the search in any number; the form stays where the gain is not curved downwards.
     """
     name, form = candidate
     for _ in range(ASCENTS):
@@ -560,11 +569,11 @@ def summit(evidence: Evidence, others: list[Candidate], candidate: Candidate, ra
         longest = FINER[0] / FINER[-1]
         ascent *= longest / max(float(np.max(np.abs(ascent))), longest)
         logs = dict(zip(local.free, (ascent * local.steps).tolist(), strict=True))
-        gains, _ = gains_of(evidence, others, [(name, form), (name, moved(form, logs))])
-        best = max(gains, key=lambda tried_form: gains[tried_form], default=form)
-        if gains.get(best, -math.inf) <= gains.get(form, -math.inf) + SAME:
+        further = moved(form, logs)
+        gains, _ = gains_of(evidence, others, [(name, form), (name, further)])
+        if gains.get(further, -math.inf) <= gains[form] + SAME:
             break
-        form = best
+        form = further
     return form
 
 
@@ -574,8 +583,8 @@ def spread_of_form(
     """Return the covariance of the logarithms of a form's refined numbers, with all coefficients fitted again.
 
     The gain falls by the squared deviation in standard errors, so its curvature over the finest step of the search
-    gives the covariance. It is infinite where the gain does not fall to both sides, as at the edge of the possible
-    range, and zero for a number that is not refined.
+    gives the covariance. It is infinite for all refined numbers where the gain is not curved downwards in every
+    direction, or a neighbouring form is not possible, and zero for a number that is not refined.
     """
     spread = np.diag([math.inf if ratio > 1.0 else 0.0 for ratio in ratios])
     local = about_form(evidence, others, candidate, ratios)
