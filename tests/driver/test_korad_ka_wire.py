@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from leactl_plugins.korad_ka import replies
-from leactl_plugins.korad_ka.models import RATINGS, SOLD_AS, model_of
-from leactl_plugins.korad_ka.settings import KoradKaSettings
+from leactl_plugins.korad_ka.settings import RATINGS, SOLD_AS, KoradKaSettings, model_of
 from pydantic import ValidationError
 
 from leactl.driver.contract import Identity, PowerSupply

@@ -11,9 +11,8 @@ from leactl.driver.conversation import Query, Reply, Script, Unreadable, ask
 from leactl.driver.serial_supply import Regulation, SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl_plugins.bk1688b import replies
-from leactl_plugins.bk1688b.models import HIGHEST, LEAST_V, STEP_V, is_near
 from leactl_plugins.bk1688b.replies import OK, Display, LevelCounts, parse_last_line
-from leactl_plugins.bk1688b.settings import Bk1688bSettings
+from leactl_plugins.bk1688b.settings import HIGHEST, LEAST_V, STEP_V, Bk1688bSettings, is_near
 
 ON, OFF = "SOUT0", "SOUT1"  # the manual's own sense
 DISPLAY = Query("GETD", replies.parse_display, last=OK)

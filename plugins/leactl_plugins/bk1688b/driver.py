@@ -8,9 +8,8 @@ from leactl.driver.far_end import Physics, SerialEmulator
 from leactl.driver.serial_port import SerialPort
 from leactl.driver.serial_supply import SupplyDriver, SupplyLine, refuse_between_steps
 from leactl_plugins.bk1688b.dialogue import Bk1688bDialogue
-from leactl_plugins.bk1688b.models import LEAST_V, STEP_V
 from leactl_plugins.bk1688b.probe import Bk1688bProbe
-from leactl_plugins.bk1688b.settings import Bk1688bSettings
+from leactl_plugins.bk1688b.settings import LEAST_V, STEP_V, Bk1688bSettings
 
 FLOWS = 2.0  # times `off_current_A`, from which a current can be distinguished from none
 

@@ -7,7 +7,7 @@ import re
 
 from leactl.driver.far_end import SupplyLoad
 from leactl.driver.supply_end import SupplyEnd
-from leactl_plugins.bk1688b.models import LEAST_V, RATINGS, STEP_V
+from leactl_plugins.bk1688b.settings import LEAST_V, RATINGS, STEP_V
 
 MOST_INPUT = 64
 PRESETS = 3

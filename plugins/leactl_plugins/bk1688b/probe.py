@@ -7,8 +7,8 @@ from leactl.driver.conversation import Query
 from leactl.driver.probe import LineProbe, Seen, Sighting
 from leactl.driver.serial_port import SerialPort
 from leactl_plugins.bk1688b import replies
-from leactl_plugins.bk1688b.models import RATINGS, STEP_V, is_near
 from leactl_plugins.bk1688b.replies import OK, LevelCounts
+from leactl_plugins.bk1688b.settings import RATINGS, STEP_V, is_near
 
 LIMITS = Query("GMAX", replies.parse_last_line(2, replies.parse_levels), last=OK)
 SETTINGS = LIMITS._replace(text="GETS")

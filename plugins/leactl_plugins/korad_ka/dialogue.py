@@ -13,9 +13,8 @@ from leactl.driver.serial_port import SerialPort
 from leactl.driver.serial_supply import Regulation, SupplyReading, SwitchOffTrouble
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl_plugins.korad_ka import replies
-from leactl_plugins.korad_ka.models import RATINGS, SOLD_AS, STEP_A, STEP_V, TOO_SLOW, model_of
 from leactl_plugins.korad_ka.replies import KoradIdentity, SupplyStatus
-from leactl_plugins.korad_ka.settings import KoradKaSettings
+from leactl_plugins.korad_ka.settings import RATINGS, SOLD_AS, STEP_A, STEP_V, TOO_SLOW, KoradKaSettings, model_of
 
 ON, OFF = "OUT1", "OUT0"
 END_S = 0.03  # silence that ends an answer; an adapter on USB holds bytes back for up to 16 ms

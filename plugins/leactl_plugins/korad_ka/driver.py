@@ -9,9 +9,8 @@ from leactl.driver.far_end import Physics, SerialEmulator
 from leactl.driver.serial_port import SerialPort
 from leactl.driver.serial_supply import SupplyDriver, SupplyLine, refuse_between_steps
 from leactl_plugins.korad_ka.dialogue import KoradDialogue
-from leactl_plugins.korad_ka.models import STEP_A, STEP_V
 from leactl_plugins.korad_ka.probe import KoradProbe
-from leactl_plugins.korad_ka.settings import KoradKaSettings
+from leactl_plugins.korad_ka.settings import STEP_A, STEP_V, KoradKaSettings
 
 COMMANDS = 6  # of one try to switch off; the first may have to wait as well
 ANSWERED_S = 0.1  # time for the last answer of a try, with the silence that ends it

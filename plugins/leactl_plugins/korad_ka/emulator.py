@@ -9,7 +9,7 @@ import re
 
 from leactl.driver.far_end import SupplyLoad
 from leactl.driver.supply_end import SupplyEnd
-from leactl_plugins.korad_ka.models import RATINGS
+from leactl_plugins.korad_ka.settings import RATINGS
 
 END_S = 0.005  # silence that ends a command; five characters at 9600 baud
 REST_S = 0.04  # after a setting or STATUS?, from the end of the command

@@ -5,8 +5,8 @@ from leactl.driver.probe import ANSWER_S, LineProbe, Seen, Sighting
 from leactl.driver.serial_port import SerialPort
 from leactl.errors import NoAnswer
 from leactl_plugins.korad_ka.dialogue import IDENTIFY, identity_of, known_names
-from leactl_plugins.korad_ka.models import model_of
 from leactl_plugins.korad_ka.replies import KoradIdentity
+from leactl_plugins.korad_ka.settings import model_of
 
 
 class KoradProbe(LineProbe):
