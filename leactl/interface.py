@@ -40,7 +40,7 @@ class Diagnosis(DiagnosisResult):
     """Where a model and runs disagree, and why: what `leactl gap diagnose --json` prints."""
 
     def __str__(self) -> str:
-        from leactl.report.gap import render
+        from leactl.report.gap_text import render
 
         return render(self)
 

@@ -87,8 +87,8 @@ def diagnose_runs(
 ) -> None:
     """Say where the model and the runs disagree, which unmodelled effect causes it, and how far the gap shrinks."""
     from leactl.gap.simulated.request import answer_of
-    from leactl.report.gap import print_diagnosis
     from leactl.report.gap_files import STDOUT, Outputs
+    from leactl.report.gap_text import print_diagnosis
     from leactl.report.progress_line import ProgressLine
 
     outputs = Outputs(json_out, html, write_model)

@@ -32,7 +32,7 @@ def list_motors(as_json: bool = AS_JSON) -> None:
 def show(motor: str = MOTOR, ambient: float = AMBIENT, bus_voltage: float = BUS, as_json: bool = AS_JSON) -> None:
     """Show one motor by name, or from a YAML file after checking it, with what follows from it."""
     from leactl.model.motor import load_sheet
-    from leactl.report.motors import OperatingConditions, compared_motor, comparison_json, comparison_text
+    from leactl.report.motor_comparison import OperatingConditions, compared_motor, comparison_json, comparison_text
 
     sheet, document = load_sheet(motor)
     derived = compared_motor(motor, OperatingConditions(ambient, bus_voltage))
@@ -58,7 +58,7 @@ def compare(
 ) -> None:
     """Show motors side by side; in N*m and between the leads where their windings differ."""
     from leactl.model.motor import motor_names
-    from leactl.report.motors import OperatingConditions, compared_motor, comparison_json, comparison_text
+    from leactl.report.motor_comparison import OperatingConditions, compared_motor, comparison_json, comparison_text
 
     compared_motors = [
         compared_motor(name, OperatingConditions(ambient, bus_voltage)) for name in motors or motor_names()

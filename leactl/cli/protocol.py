@@ -103,8 +103,8 @@ def plan(
         from leactl.bench.wiring import MachineWiring
         from leactl.runner.bench_fit import check_fit, unwitnessed
         from leactl.runner.checked_bench import load_checked
-        from leactl.runner.left_on import left_on
         from leactl.runner.thermal_admission import Windings, standing
+        from leactl.runner.unattended_supply import left_on
         from leactl.safety.refusals import check_rate
 
         file, devices, _document = load_checked(bench)

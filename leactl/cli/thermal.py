@@ -41,7 +41,7 @@ def limits(
 
     from leactl.model.motor import load_motor
     from leactl.report.thermal import limits_text
-    from leactl.safety.thermal.capability import PEAKS_S, continuous, peaks
+    from leactl.safety.thermal.guarded_currents import PEAKS_S, continuous, peaks
 
     motor_model = load_motor(motor)[0]
     continuous_points = continuous(motor_model, ambient, speed)

@@ -1,4 +1,7 @@
-"""One CAN bus shared by several drivers, without threads: frames are dispatched while a caller waits for one."""
+"""One CAN bus shared by several drivers, without threads: frames are dispatched while a caller waits for one.
+
+Which node ids a device can have is in the settings of its driver.
+"""
 
 import errno
 from collections.abc import Callable, Sequence

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.hysteresis_and_lags import ramp_means, ramp_shares, rate_limited
 from leactl.effects.plant import Plant
-from leactl.effects.shapes import ramp_means, ramp_shares, rate_limited
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]

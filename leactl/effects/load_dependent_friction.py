@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Array, Effect, Form, Signals, Terms
+from leactl.effects.hysteresis_and_lags import stuck_between
 from leactl.effects.plant import Plant
-from leactl.effects.shapes import stuck_between
 from leactl.model.nominal import Model
 
 TANGENT = 0.01  # in whose place a form of zero stands where a rotor sticks

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.hysteresis_and_lags import rate_limited
 from leactl.effects.plant import Array, Plant
-from leactl.effects.shapes import rate_limited
 from leactl.model.nominal import Model
 
 

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.hysteresis_and_lags import play
 from leactl.effects.plant import Plant
-from leactl.effects.shapes import play
 from leactl.model.nominal import Model
 
 

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
+from leactl.effects.hysteresis_and_lags import lagged
 from leactl.effects.plant import Plant
-from leactl.effects.shapes import lagged
 from leactl.model.nominal import Model
 
 

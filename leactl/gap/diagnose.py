@@ -13,13 +13,13 @@ from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, Ef
 from leactl.gap.null import confirmed_beside_others, measure, set_floors, with_simulator_runs
 from leactl.gap.planning.separating import separating_experiment
 from leactl.gap.replay.long_runs import read_records
-from leactl.gap.search import sets
+from leactl.gap.search import effect_sets
 from leactl.gap.search.confirm import HeldOutGain, held_out_gains
-from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.effect_regression import Evidence
+from leactl.gap.search.effect_sets import EffectSet, search
 from leactl.gap.search.parameters import about, calibrated, effect_parameters, with_calibration, with_effects
 from leactl.gap.search.regression import Candidate, Fit, Rows
 from leactl.gap.search.ringing import Line, ringing
-from leactl.gap.search.sets import EffectSet, search
 from leactl.gap.search.stamp_fit import LATEST
 from leactl.gap.servo import answer as servo_answer
 from leactl.gap.servo.effect_sets import fit_effect_sets
@@ -302,7 +302,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     applied_forms = [candidate for candidate in searched.hypothesis if candidate[0] in names]
     # what the withdrawn members explained is unexplained again
     if len(applied_forms) < len(searched.hypothesis) and not servo_runs:
-        rest_of_set = among_sound_noise(evidence, sets.describe(evidence, list(applied_forms)))
+        rest_of_set = among_sound_noise(evidence, effect_sets.describe(evidence, list(applied_forms)))
         unrest_by_run, lines = left_over(evidence, rest_of_set)
         surprise = max(surprise, unexplained(unrest(unrest_by_run), lines), key=lambda sign: sign.probability)
     if not (applied_forms or servo_runs or at_bounds(calibrated_alone)) and surprise.probability < UNKNOWN:
@@ -377,7 +377,7 @@ def separated(
     hypothesis, ruled_out = nearest_of_classes(searched.hypothesis, judged, compare)
     nearest = searched
     if hypothesis != searched.hypothesis:
-        nearest = sets.describe(evidence, hypothesis)
+        nearest = effect_sets.describe(evidence, hypothesis)
         if {effect for effect, _ in nearest.hypothesis} != {effect for effect, _ in hypothesis}:
             nearest, ruled_out = searched, []  # beside the other members the better effect does not enter the set
     evidence.settle(nearest.hypothesis)
@@ -393,7 +393,7 @@ def model_with(model: Model, evidence: Evidence, hypothesis: Sequence[Candidate]
 
 def among_sound_noise(evidence: Evidence, result: EffectSet) -> EffectSet:
     """Return a set whose squares taken and left are weighted by a sound machine's noise where that is lower."""
-    squares_taken, squares_left = sets.taken_and_left(evidence, result.hypothesis, sound=True)
+    squares_taken, squares_left = effect_sets.taken_and_left(evidence, result.hypothesis, sound=True)
     return replace(result, taken=squares_taken, left=squares_left)
 
 
@@ -460,7 +460,7 @@ def outweighed(
 def may_leave(effect: str) -> float:
     """Return the residual an effect may leave, as a share of the squares it explains; more if its columns are loose."""
     explains = library()[effect].explains
-    return (1.0 - explains) / explains if explains < sets.LOOSE else OUTWEIGHED
+    return (1.0 - explains) / explains if explains < effect_sets.LOOSE else OUTWEIGHED
 
 
 def touched(rows: Rows, hypothesis: Sequence[Candidate]) -> bool:
@@ -496,7 +496,7 @@ def fitted_to_the_end(
         ratios = [item for item in parameters if item.parameter != "ambient_offset"]
         evidence = evidence.on(evidence.records, hypothesis, with_calibration(evidence.model, ratios))
         evidence.settle(hypothesis)  # forms are compared under the noise of this fit
-        hypothesis = sets.refine(evidence, hypothesis, shapes=False)
+        hypothesis = effect_sets.refine(evidence, hypothesis, shapes=False)
         fit = evidence.settle(hypothesis)
         parameters = tuple(replace(p, nominal=nominal[p.parameter]) for p in calibrated(evidence, fit))
     return {candidate[0]: effect_parameters(evidence, fit, candidate) for candidate in hypothesis}, parameters

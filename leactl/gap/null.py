@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
 from leactl.effects import library
-from leactl.effects.shapes import delayed
+from leactl.effects.hysteresis_and_lags import delayed
 from leactl.gap.diagnosis import CalibratedParameter
 from leactl.gap.replay import replay_all
 from leactl.gap.replay.bearing import TRIED
@@ -24,18 +24,8 @@ from leactl.gap.replay.bench_of_model import plant_of
 from leactl.gap.replay.drive import over_samples
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.readings import angle, current, velocity
-from leactl.gap.search.evidence import MOST_MOVED, PINNED, PRIORS, Evidence, Null, error_of
-from leactl.gap.search.parameters import (
-    UNITS,
-    calibrated,
-    effect_parameters,
-    nominal_value,
-    with_calibration,
-    with_effects,
-)
-from leactl.gap.search.regression import Candidate, Fit
-from leactl.gap.search.ringing import ringing
-from leactl.gap.search.sets import (
+from leactl.gap.search.effect_regression import MOST_MOVED, PINNED, PRIORS, Evidence, Null, error_of
+from leactl.gap.search.effect_sets import (
     ENTRY,
     EffectSet,
     FurtherEffect,
@@ -47,6 +37,16 @@ from leactl.gap.search.sets import (
     sizes_by_chance,
     standard_errors,
 )
+from leactl.gap.search.parameters import (
+    UNITS,
+    calibrated,
+    effect_parameters,
+    nominal_value,
+    with_calibration,
+    with_effects,
+)
+from leactl.gap.search.regression import Candidate, Fit
+from leactl.gap.search.ringing import ringing
 from leactl.gap.signals.derived import moved_by_a_servo
 from leactl.gap.signals.noise import coloured, quantum_of
 from leactl.gap.signals.record import WINDING, Clocked, Key, Record

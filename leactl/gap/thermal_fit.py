@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.gap.diagnosis import CalibratedParameter
-from leactl.gap.search.evidence import PRIORS, Evidence
+from leactl.gap.search.effect_regression import PRIORS, Evidence
 from leactl.gap.search.parameters import calibrated
 from leactl.gap.signals.record import AMBIENT, Record, record_of
 from leactl.model.motor import Motor

@@ -12,7 +12,7 @@ from leactl.vocabulary.setup_fault import setup_faults
 if TYPE_CHECKING:
     from leactl.exchange.loop import ClosedLoop, PlayedRun
     from leactl.gap.planning.advice import Advice, AdvisedProtocol
-    from leactl.gap.planning.reveal import Sight
+    from leactl.gap.planning.visible_sizes import Sight
 
 ADVICE_FORMAT, ADVICE_VERSION = "leactl-gap-plan", 1
 LOOP_HEADINGS = ["held out, rms of the angle [rad]", "as it was", "patched", "with callbacks", "closed"]

@@ -9,7 +9,7 @@ from leactl.model.energy import Stride
 from leactl.model.flexures import Preload, Reading
 from leactl.model.motor_schema import Bearings, MotorSheet
 from leactl.model.scaling import ScaledFigure
-from leactl.report.motors import cell
+from leactl.report.motor_comparison import cell
 from leactl.report.terminal import TEXT_WIDTH, aligned, wrapped
 
 ENERGIES = {

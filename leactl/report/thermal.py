@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from leactl.model.motor import Motor
 from leactl.report.terminal import TEXT_WIDTH, wrapped
 from leactl.report.thermal_fits import ActuatorFit
-from leactl.safety.thermal.capability import Carried, ContinuousLimits, Peak
+from leactl.safety.thermal.guarded_currents import Carried, ContinuousLimits, Peak
 
 if TYPE_CHECKING:
     from leactl.runner.commission import Commissioned

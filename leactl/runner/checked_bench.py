@@ -12,7 +12,7 @@ from leactl.bench.bench import Bench, require_channels_for_interlocks
 from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, host_silences
 from leactl.bench.wiring import MachineWiring, unknown_interface
 from leactl.driver.contract import SAFE_STATE_S
-from leactl.emulation.bench.block import check_emulated
+from leactl.emulation.bench.emulated_block import check_emulated
 from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
 from leactl.quantities import ChannelSpec

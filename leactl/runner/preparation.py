@@ -49,7 +49,7 @@ def admitted(request: Request, windings: Windings) -> Admitted:
     check_supplies(request, supervisor)
     if not switches_supplies(request.plan):
         return Admitted(request, bench, supervisor, ())
-    from leactl.runner.left_on import endings, left_on  # imports a root finder, which no other run needs
+    from leactl.runner.unattended_supply import endings, left_on  # imports a root finder, which no other run needs
 
     powered = left_on(request.plan, windings, bench)
     supervisor.supplies.endings = endings(request.plan, windings, powered)

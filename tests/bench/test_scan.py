@@ -30,7 +30,7 @@ from leactl.driver.conversation import Unreadable
 from leactl.driver.far_end import FdFrame, Frame
 from leactl.driver.probe import CanProbe, I2cProbe, LineProbe, Sighting
 from leactl.emulation.clock import EmulatedClock
-from leactl.emulation.trial.known import KnownBench
+from leactl.emulation.trial.known_bench import KnownBench
 from leactl.emulation.wires.buses import CanWire, EmulatedCanBus, EmulatedI2cBus
 from leactl.emulation.wires.serial import EmulatedSerialLine, SerialWire
 from leactl.errors import DeviceError, Stopped

@@ -14,7 +14,7 @@ import pytest
 from leactl.driver import registry
 from leactl.driver.contract import SAFE_STATE_S, Confirmation, MotionDevice, PowerSupply, Row
 from leactl.emulation.trial import drives, supplies
-from leactl.emulation.trial.known import LOAD_OHM
+from leactl.emulation.trial.known_bench import LOAD_OHM
 from leactl.emulation.trial.measuring import OF_MACHINE, RECORDED_S
 from leactl.emulation.trial.stand import ANSWER_S, PERIOD_S, Stand
 from leactl.errors import DeviceError, InputError

@@ -21,7 +21,7 @@ from leactl.driver import conformance, registry
 from leactl.driver.contract import Confirmation, Driver, DriverSettings, Identity, Mode
 from leactl.driver.probe import Sighting
 from leactl.emulation.trial import measuring, probing, running
-from leactl.emulation.trial.known import BASES, RISE
+from leactl.emulation.trial.known_bench import BASES, RISE
 from leactl.emulation.trial.running import outcome, plain, try_driver
 from leactl.emulation.trial.stand import Broken
 from leactl.errors import DeviceError, InputError

@@ -7,7 +7,7 @@ import pytest
 
 from leactl.gap.diagnosis import CalibratedParameter
 from leactl.gap.replay import replay
-from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.parameters import at_bound, calibrated, with_calibration
 from leactl.model.nominal import MOST_OFFSET
 from tests.gap.synthetic import model, record

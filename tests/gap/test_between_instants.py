@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import Case, diagnose
-from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.effect_regression import Evidence
 from tests.gap.synthetic import CONSTANT, DAMPING, FRICTION, INERTIA, INTERVAL_S, model, record
 
 SPEEDS = (0.5, -0.5, 1.0, -1.0, 1.6, -1.6, 20.0, -20.0, 12.0, -12.0)

@@ -11,7 +11,7 @@ from leactl.emulation.blind.make import make
 from leactl.emulation.plant.effects_outside_library import unlisted_effects
 from leactl.errors import InputError
 from leactl.gap.diagnose import Case, diagnose, read_case, split
-from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.ringing import ringing
 from leactl.gap.signals.record import build
 from leactl.gap.verdict.notes import gathered

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from leactl.gap.search.sets import EffectSet, FurtherEffect
+from leactl.gap.search.effect_sets import EffectSet, FurtherEffect
 
 TOUCHING = ("effect", "cogging", "(6.0,)", "cos")
 

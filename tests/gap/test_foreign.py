@@ -11,7 +11,7 @@ import pytest
 from leactl.gap.diagnose import diagnose, read_case
 from leactl.gap.equations import equations
 from leactl.gap.search.angle_periodogram import strongest
-from leactl.gap.search.evidence import PRIORS
+from leactl.gap.search.effect_regression import PRIORS
 from leactl.gap.search.regression import Normal, make_rows, residuals, stack
 from leactl.gap.servo.effect_sets import fit_effect_sets
 from leactl.gap.servo.runs import servo_runs

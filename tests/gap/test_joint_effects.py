@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from leactl.gap.diagnose import Case, diagnose
 from leactl.gap.equations import equations
-from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.parameters import calibrated
 from leactl.joints.machine import draw_machine
 from leactl.joints.make import draw_runs

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnosis import Near
+from leactl.gap.search.effect_sets import TIE, FurtherEffect
 from leactl.gap.search.ringing import Line
-from leactl.gap.search.sets import TIE, FurtherEffect
 from leactl.gap.signals.record import Record
 from leactl.gap.verdict.judge import (
     HALF,

@@ -12,8 +12,8 @@ from leactl.effects.contract import PLACES, Signals
 from leactl.effects.gear_backlash import SEEN
 from leactl.effects.joint_elasticity import HIGHEST
 from leactl.effects.plant import Plant
+from leactl.gap.search.effect_sets import SHAPE
 from leactl.gap.search.parameters import propagated
-from leactl.gap.search.sets import SHAPE
 from leactl.gap.signals.effect_variables import OF_SIGNALS
 from leactl.model.nominal import DriveModel, Model
 from leactl.vocabulary.effect import EffectDefinition, effect_definition, effect_names, effects_on

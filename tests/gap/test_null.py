@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from leactl.gap.diagnose import read_case
 from leactl.gap.null import ALIKE, NULLS, machines_off, measure, set_floors, shown_alike, sound_runs
 from leactl.gap.replay.cutting import TRACKED
-from leactl.gap.search.evidence import MISSED, NEGLIGIBLE, PRIORS, Evidence
+from leactl.gap.search.effect_regression import MISSED, NEGLIGIBLE, PRIORS, Evidence
+from leactl.gap.search.effect_sets import ENTRY, FurtherEffect
 from leactl.gap.search.parameters import calibrated, nominal_value
-from leactl.gap.search.sets import ENTRY, FurtherEffect
 from leactl.gap.search.stamp_fit import LATE_STD, LATEST
 from leactl.gap.signals.derived import resolved, unseen
 from leactl.gap.signals.noise import SEGMENT, quantum_of

@@ -11,8 +11,8 @@ from leactl.cli.main import app
 from leactl.errors import InputError
 from leactl.gap.planning.advice import read_noise
 from leactl.gap.planning.records import planned_record, usual_noise
-from leactl.gap.planning.reveal import evidence_of, sights
 from leactl.gap.planning.separating import separating_experiment
+from leactl.gap.planning.visible_sizes import evidence_of, sights
 from leactl.model.nominal import as_mapping
 from leactl.protocol import protocolfile, shipped
 from leactl.vocabulary.effect import effect_definition, effect_names

@@ -7,7 +7,7 @@ import pytest
 
 from leactl.effects import library
 from leactl.gap.replay import replay
-from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.effect_regression import Evidence
 from tests.gap.synthetic import FRICTION, INTERVAL_S, model, record
 
 WIDTH, STIFFNESS = 0.004, 3000.0

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from leactl.effects.contract import Signals
-from leactl.gap.search.evidence import rows_per_independent
+from leactl.gap.search.effect_regression import rows_per_independent
 from leactl.gap.search.regression import Normal, Rows, disagreement, gain_of, residuals, stack, white_noise
 from leactl.model.nominal import Model
 

@@ -8,7 +8,7 @@ import pytest
 from leactl.emulation.blind.make import make
 from leactl.gap.diagnose import diagnose, read_case
 from leactl.gap.replay import replay
-from leactl.gap.search.sets import FurtherEffect
+from leactl.gap.search.effect_sets import FurtherEffect
 from leactl.gap.verdict.decision import NAMED
 from leactl.gap.verdict.judge import Judged
 from leactl.gap.verdict.separation import RuledOut, nearest_of_classes, without_ruled_out

@@ -18,7 +18,7 @@ from leactl.gap.simulated.comparing import (
     side_by_side_in_free_runs,
     without_shared_causes,
 )
-from leactl.gap.simulated.known import KnownEffect, Subtraction
+from leactl.gap.simulated.simulator_effects import KnownEffect, Subtraction
 from leactl.report.gap_words import change_text
 from tests.gap.synthetic import model, record
 

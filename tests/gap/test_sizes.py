@@ -9,7 +9,7 @@ from leactl.effects import library
 from leactl.effects.contract import SCALES
 from leactl.gap.diagnose import diagnose
 from leactl.gap.null import measure, set_floors
-from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.signals.scales import form_scales
 from leactl.model.nominal import Model
 from tests.gap.joints import Effect, Log, case, drawn_joint

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from leactl.effects.hysteresis_and_lags import bristle, delayed, lagged, play, rate_limited
 from leactl.effects.plant import bare
-from leactl.effects.shapes import bristle, delayed, lagged, play, rate_limited
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.readings import measured_speed
 from leactl.gap.signals.record import Record

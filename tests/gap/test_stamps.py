@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import diagnose
-from leactl.gap.search.evidence import Evidence
-from leactl.gap.search.sets import ENTRY, finding
+from leactl.gap.search.effect_regression import Evidence
+from leactl.gap.search.effect_sets import ENTRY, finding
 from leactl.gap.signals.setpoints import marked
 from leactl.gap.signals.stamps import TAPS, lateness, neighbour, restamped
 from tests.gap.joints import Effect, Log, case, drawn_joint, drawn_log

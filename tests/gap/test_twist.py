@@ -6,7 +6,7 @@ import pytest
 
 from leactl.gap.diagnose import read_case
 from leactl.gap.null import measure, set_floors
-from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.parameters import calibrated
 
 STIFFNESS = "bench.shaft_stiffness"

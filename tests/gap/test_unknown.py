@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnosis import Near
-from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.signals.record import read_record
 from leactl.gap.verdict.unknown import describe
 from leactl.model.nominal import read_model

@@ -11,9 +11,9 @@ import pytest
 from leactl.effects.contract import Signals
 from leactl.gap.diagnose import diagnose
 from leactl.gap.diagnosis import CalibratedParameter, Cause, EffectParameter, Shrinkage
+from leactl.gap.search.effect_sets import outweighs
 from leactl.gap.search.parameters import at_bound
 from leactl.gap.search.regression import Normal, Rows, gain_of, stack
-from leactl.gap.search.sets import outweighs
 from leactl.gap.verdict.shrinkage import Growth, Shrunk
 from leactl.gap.verdict.withdrawal import FittedEffects, apply
 from leactl.model.nominal import Model, read_model

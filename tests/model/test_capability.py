@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leactl.model.capability import STEADY_STATE, Winding, current_held
+from leactl.model.continuous_current import STEADY_STATE, Winding, current_held
 from leactl.model.thermal_network import Conductances
 
 WINDING = Winding(Conductances(0.2, 1.0, 0.5, 100.0, 300.0), 0.1, 0.004, 25.0)

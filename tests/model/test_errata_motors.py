@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from leactl.model.derived_quantities import continuous_torques, electrical, motor_constant, network_current
 from leactl.model.flexures import bearings_of, disagreement, readings
 from leactl.model.motor import load_motor, load_sheet
-from leactl.report.motors import OperatingConditions, compared_motor, comparison_json
+from leactl.report.motor_comparison import OperatingConditions, compared_motor, comparison_json
 
 LEA, U8, MAXON = (load_sheet(name)[0] for name in ("lea", "u8-kv100", "ec-4pole-30"))
 AMBIENT, LIMIT = 25.0, 130.0

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from leactl.gap.diagnosis import Cause, DiagnosisResult, Shrinkage
-from leactl.report.gap import render
+from leactl.report.gap_text import render
 from leactl.report.gap_words import rest_words
 from tests.report.answers import answer, rest
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from leactl.gap.diagnosis import Cause, DiagnosisResult, Region, Shrinkage
 from leactl.report.chart import LineMarks
-from leactl.report.gap import render
 from leactl.report.gap_page import page
+from leactl.report.gap_text import render
 from leactl.report.gap_words import three_digits
 from leactl.report.plot import PlotAxis
 from tests.report.answers import LOCKED, answer, picture, profile, rest, trace

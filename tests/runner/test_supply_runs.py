@@ -17,9 +17,9 @@ from leactl.bench.wiring import MachineWiring
 from leactl.errors import DeviceError, DeviceFault, InputError
 from leactl.protocol import protocolfile
 from leactl.runfile.read.reader import Run
-from leactl.runner.left_on import endings, left_on
 from leactl.runner.thermal_admission import Windings
 from leactl.runner.thermal_memory import Recalled
+from leactl.runner.unattended_supply import endings, left_on
 from tests.cli.terminal import leactl
 from tests.latches import trip_of
 from tests.runner.test_pause import GO_ON, PAUSE

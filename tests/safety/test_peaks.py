@@ -5,11 +5,11 @@ import itertools
 import numpy as np
 import pytest
 
-from leactl.model.capability import STANDING, TURNING, Winding, current_held
+from leactl.model.continuous_current import STANDING, TURNING, Winding, current_held
 from leactl.model.motor import load_motor
 from leactl.model.thermal_network import Conductances
 from leactl.safety.thermal.box import Box
-from leactl.safety.thermal.capability import HARDEST_A, PEAKS_S, nominal, peaks
+from leactl.safety.thermal.guarded_currents import HARDEST_A, PEAKS_S, nominal, peaks
 
 AMBIENT = 25.0
 RESISTANCES = ("winding_ambient_resistance", "winding_housing_resistance", "housing_ambient_resistance")

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from leactl.analysis.efficiency.balance import SENSE, PowerCalibration
 from leactl.analysis.efficiency.operating_points import OTHER_ROLE, OperatingPoints
+from leactl.analysis.efficiency.power_balance import SENSE, PowerCalibration
 from leactl.analysis.estimate import Noted
 from leactl.analysis.quality.sign_checks import SWAPPED
 from leactl.analysis.statistics.regression import least_squares

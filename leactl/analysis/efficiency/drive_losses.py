@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leactl.analysis.efficiency.balance import PowerCalibration, balance
 from leactl.analysis.efficiency.operating_points import OTHER_ROLE, OperatingPoints
+from leactl.analysis.efficiency.power_balance import PowerCalibration, balance
 from leactl.analysis.estimate import Estimate, Noted
 from leactl.analysis.signals.levels import settled_mean
 from leactl.analysis.statistics.regression import t_quantile

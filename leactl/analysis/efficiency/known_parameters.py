@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.analysis.efficiency.balance import PowerCalibration
 from leactl.analysis.efficiency.operating_points import OTHER_ROLE, OperatingPoints
+from leactl.analysis.efficiency.power_balance import PowerCalibration
 from leactl.analysis.estimate import Noted
 from leactl.analysis.run_model import model_of
 from leactl.errors import InputError, NotIdentifiable

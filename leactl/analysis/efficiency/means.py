@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from leactl.analysis.efficiency.balance import Balance, PowerCalibration, balance
 from leactl.analysis.efficiency.operating_points import OperatingPoints
+from leactl.analysis.efficiency.power_balance import Balance, PowerCalibration, balance
 from leactl.analysis.estimate import NAN, Estimate, listed
 from leactl.analysis.statistics.regression import POOLING_P_VALUE, Array, t_quantile
 

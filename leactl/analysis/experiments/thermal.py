@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from leactl.analysis.estimate import Covariance, Noted, Result, joined
-from leactl.analysis.heating.capability import current_capability
 from leactl.analysis.heating.estimates import (
     LATE,
     LEAST_SEEN,
@@ -28,6 +27,7 @@ from leactl.analysis.heating.estimates import (
     steadiness,
     without_value,
 )
+from leactl.analysis.heating.fitted_currents import PAPER_WINDING_LIMIT, current_capability
 from leactl.analysis.heating.network import NetworkFit, Unknowns, fit_network
 from leactl.analysis.heating.parameters import NAMES, Instruments, natural_covariance, thermal_parameters, uncertainty
 from leactl.analysis.heating.plots import plots_of
@@ -79,7 +79,6 @@ RESULTS = {
 }
 
 MOST_LEFT_OUT = 0.01  # of the frames; a note names a larger share
-WINDING_LIMIT = 130.0  # degC, the paper's
 
 
 def analyze(
@@ -107,7 +106,7 @@ def analyze(
     camera_gain_std : relative, of the rise that it shows; 0.01 is half of its +-2 %.
     voltage_gain_std, current_gain_std : relative, of the supply's readings; by default those of the channels.
     camera_lag : [s], how late the camera's clock is by the supply's; estimated by default.
-    winding_limit : [degC], for the currents; by default that of the run's model, else 130.
+    winding_limit : [degC], for the currents; by default that of the run's model, else the paper's 130.
     ambient : [degC], for the currents.
 
     Raises
@@ -215,7 +214,7 @@ def limit_of(model: Mapping[str, Any]) -> float:
     """Return the winding's limit [degC] of a model, or the paper's where it has none."""
     limits = model.get("limits")
     limit = limits.get("winding_temperature") if isinstance(limits, Mapping) else None
-    return float(limit) if isinstance(limit, int | float) and not isinstance(limit, bool) else WINDING_LIMIT
+    return float(limit) if isinstance(limit, int | float) and not isinstance(limit, bool) else PAPER_WINDING_LIMIT
 
 
 def phase_share(model: Mapping[str, Any]) -> Noted[float]:

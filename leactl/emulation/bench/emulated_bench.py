@@ -13,7 +13,7 @@ from leactl.driver import registry
 from leactl.driver.far_end import BuslessEmulator, Numbered, Physics, SupplyLoad
 from leactl.driver.i2c_port import SmBus
 from leactl.driver.serial_port import SerialLine
-from leactl.emulation.bench.block import actuator_of, effect_of
+from leactl.emulation.bench.emulated_block import actuator_of, effect_of
 from leactl.emulation.clock import EmulatedClock, HostClock
 from leactl.emulation.faults import make_fault
 from leactl.emulation.faults.device_readings import DeviceSignals

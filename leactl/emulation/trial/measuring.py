@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from leactl.driver.contract import Row, SampleBlock
 from leactl.driver.file_records import BatchSource
 from leactl.emulation.trial.drives import confirmed
-from leactl.emulation.trial.known import RISE
+from leactl.emulation.trial.known_bench import RISE
 from leactl.emulation.trial.stand import Broken, Stand
 from leactl.errors import DeviceError
 from leactl.quantities import FLAGS

@@ -1,6 +1,6 @@
 """Requirements on the probe of a driver: it finds its own device only, by reads, and ends in time."""
 
-from leactl.emulation.trial.known import KnownMachine
+from leactl.emulation.trial.known_bench import KnownMachine
 from leactl.emulation.trial.stand import ROLE, Broken, Stand
 
 

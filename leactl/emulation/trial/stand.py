@@ -13,7 +13,7 @@ from leactl.driver.i2c_port import I2cPort
 from leactl.driver.probe import CanProbe, I2cProbe, LineProbe
 from leactl.driver.serial_port import SerialPort
 from leactl.emulation.clock import EmulatedClock
-from leactl.emulation.trial.known import KnownBench, KnownMachine
+from leactl.emulation.trial.known_bench import KnownBench, KnownMachine
 from leactl.emulation.wires.buses import CanWire, EmulatedCanBus, EmulatedI2cBus
 from leactl.emulation.wires.serial import EmulatedSerialLine, SerialWire
 

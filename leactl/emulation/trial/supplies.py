@@ -6,7 +6,7 @@ from contextlib import suppress
 from leactl.driver.contract import PowerSupply, ProtectedSupply
 from leactl.driver.far_end import FailingSupply
 from leactl.emulation.trial.drives import confirmed
-from leactl.emulation.trial.known import LOAD_OHM
+from leactl.emulation.trial.known_bench import LOAD_OHM
 from leactl.emulation.trial.stand import Broken, Stand
 from leactl.errors import DeviceError, InputError
 

@@ -18,10 +18,10 @@ from leactl.gap.blind.answers import MODEL, runs_of, write
 from leactl.gap.diagnose import Case, model_with, read_case
 from leactl.gap.replay.comparison import Compared
 from leactl.gap.search.angle_periodogram import strongest
-from leactl.gap.search.evidence import ORDERS_TRIED, Evidence, forms_here
+from leactl.gap.search.effect_regression import ORDERS_TRIED, Evidence, forms_here
+from leactl.gap.search.effect_sets import BEYOND, best_of_each, member, refine
 from leactl.gap.search.parameters import calibrated, with_calibration, with_effects
 from leactl.gap.search.regression import Candidate
-from leactl.gap.search.sets import BEYOND, best_of_each, member, refine
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.setpoints import marked
 from leactl.gap.signals.stamps import stamped

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from leactl.errors import InputError
 from leactl.gap.planning.records import planned_record, usual_noise
-from leactl.gap.planning.reveal import Sight, evidence_of, sights
+from leactl.gap.planning.visible_sizes import Sight, evidence_of, sights
 from leactl.gap.replay.long_runs import read_records
 from leactl.gap.signals.record import Record
 from leactl.model.nominal import read_model

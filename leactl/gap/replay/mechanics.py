@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from leactl.effects.hysteresis_and_lags import play
 from leactl.effects.plant import Array
-from leactl.effects.shapes import play
 from leactl.effects.teeth import followed
 from leactl.gap.replay.cutting import (
     CutJob,

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from leactl.effects import library
 from leactl.gap.diagnosis import CalibratedParameter, EffectParameter
-from leactl.gap.search.evidence import PRIORS, Evidence
+from leactl.gap.search.effect_regression import PRIORS, Evidence
 from leactl.gap.search.regression import Candidate, Fit, disagreement
 from leactl.gap.search.stamp_fit import LATE_STD
 from leactl.model.nominal import MOST_OFFSET, EffectEntry, Model, as_mapping

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
-from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.regression import Fit, Rows, residuals
 
 Array = npt.NDArray[np.float64]

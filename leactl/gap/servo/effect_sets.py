@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.search.evidence import rows_per_independent
+from leactl.gap.search.effect_regression import rows_per_independent
 from leactl.gap.search.regression import Candidate
 from leactl.gap.servo.fit import FINAL_LEAST_GAIN, FittedServo, MeasuredServoRuns, cost, fit
 from leactl.gap.servo.limits import DRIVE, acts, drive_starts, to_effect_parameters, to_fit_parameters

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.gap.replay.time_steps import SERVO_MEMORY, SERVO_STEP, servo_times
-from leactl.gap.search.evidence import PRIORS
+from leactl.gap.search.effect_regression import PRIORS
 from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.signals.rig import drive_of, load_of
 from leactl.model.nominal import Model

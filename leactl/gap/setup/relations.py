@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import binary_opening, maximum_filter1d
 
-from leactl.effects.shapes import play
+from leactl.effects.hysteresis_and_lags import play
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.signals.rig import fed_by_voltage

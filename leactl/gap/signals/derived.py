@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from leactl.effects.contract import Signals
-from leactl.effects.shapes import play, ramp_means
+from leactl.effects.hysteresis_and_lags import play, ramp_means
 from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.signals.smoothing import middle, sharp_senses, slope, smooth, speeds

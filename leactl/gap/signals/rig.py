@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.contract import Signals
-from leactl.effects.shapes import play
+from leactl.effects.hysteresis_and_lags import play
 from leactl.gap.signals.derived import averaged
 from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.signals.smoothing import smooth

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 from scipy.optimize import minimize_scalar
 
-from leactl.effects.shapes import ramp_shares, rate_limited
+from leactl.effects.hysteresis_and_lags import ramp_shares, rate_limited
 from leactl.gap.signals.derived import led, loop, moved_by_a_servo
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.stamps import TAPS, neighbour

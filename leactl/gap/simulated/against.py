@@ -18,9 +18,9 @@ from leactl.gap.simulated.comparing import (
     simulator_effects,
     without_shared_causes,
 )
-from leactl.gap.simulated.known import records_without
 from leactl.gap.simulated.nominal import NominalOfSimulator, nominal_of
 from leactl.gap.simulated.pairing import paired
+from leactl.gap.simulated.simulator_effects import records_without
 
 
 @dataclass

@@ -13,14 +13,14 @@ from leactl.gap.diagnosis import (
     SimulatorEffect,
     SizeInBoth,
 )
-from leactl.gap.search.evidence import PRIORS, Evidence
+from leactl.gap.search.effect_regression import PRIORS, Evidence
+from leactl.gap.search.effect_sets import ENTRY, FORM_ERROR
 from leactl.gap.search.parameters import effect_parameters, nominal_value
 from leactl.gap.search.regression import Candidate
-from leactl.gap.search.sets import ENTRY, FORM_ERROR
 from leactl.gap.setup import SetUpFault
 from leactl.gap.signals.record import Record
-from leactl.gap.simulated.known import KnownEffect, known_effects, records_without
 from leactl.gap.simulated.nominal import NominalOfSimulator
+from leactl.gap.simulated.simulator_effects import KnownEffect, known_effects, records_without
 from leactl.gap.verdict.decision import NAMED, verdict_of
 
 MOST_PRIORS_OFF = 3.0  # prior widths beyond which a parameter is that of another machine

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from leactl.errors import InputError
 from leactl.gap.diagnose import Case, Channel, Progress, diagnose_mended, without_faults
 from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, SimulatorFloor
-from leactl.gap.search.evidence import PRIORS, Evidence
+from leactl.gap.search.effect_regression import PRIORS, Evidence
 from leactl.gap.search.parameters import (
     at_bound,
     calibrated,
@@ -19,7 +19,7 @@ from leactl.gap.search.parameters import (
 from leactl.gap.servo.answer import judged_by_runs
 from leactl.gap.setup import SetUpFault
 from leactl.gap.signals.record import Record
-from leactl.gap.simulated.known import KnownEffect, known_effects
+from leactl.gap.simulated.simulator_effects import KnownEffect, known_effects
 from leactl.gap.verdict.decision import NAMED
 from leactl.model.nominal import Model
 

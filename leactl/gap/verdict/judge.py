@@ -13,10 +13,10 @@ import numpy as np
 
 from leactl.effects import library
 from leactl.gap.search.confirm import transferred
-from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.effect_regression import Evidence
+from leactl.gap.search.effect_sets import LOOSE, TIE, EffectSet, FurtherEffect, apart
 from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
 from leactl.gap.search.ringing import Line
-from leactl.gap.search.sets import LOOSE, TIE, EffectSet, FurtherEffect, apart
 from leactl.gap.signals.record import Record
 
 EXACT_FORM_ERROR = 0.0005

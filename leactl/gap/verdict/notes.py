@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from leactl.effects import library
-from leactl.gap.search.evidence import PRIORS, Evidence, Null
+from leactl.gap.search.effect_regression import PRIORS, Evidence, Null
 from leactl.gap.signals.record import Record
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition

@@ -30,7 +30,7 @@ from leactl.gap.binned_means import (
 from leactl.gap.diagnosis import Cause, Picture, ResidualBin
 from leactl.gap.replay.comparison import Compared
 from leactl.gap.search.confirm import transferred
-from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.regression import Candidate, Fit, Rows, residuals
 from leactl.gap.signals.effect_variables import OF_SIGNALS
 from leactl.gap.signals.record import Record

@@ -14,9 +14,9 @@ from leactl.effects import library
 from leactl.gap.diagnosis import Near, Picture, Rest
 from leactl.gap.search.angle_periodogram import periodogram, turns
 from leactl.gap.search.confirm import transferred
-from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.effect_regression import Evidence
+from leactl.gap.search.effect_sets import ENTRY, EffectSet, FurtherEffect
 from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
-from leactl.gap.search.sets import ENTRY, EffectSet, FurtherEffect
 from leactl.gap.signals.effect_variables import state_in
 from leactl.gap.signals.record import Record
 from leactl.gap.verdict.decision import NAMED

@@ -25,7 +25,7 @@ from leactl.report.datasheet.runset import GroupResult, RunEntry, RunSet
 from leactl.report.datasheet.sheet import Datasheet, Section
 from leactl.report.datasheet.table import columns, groups
 from leactl.report.html import render
-from leactl.report.motors import ComparedMotor, OperatingConditions, cell, figure_rows
+from leactl.report.motor_comparison import ComparedMotor, OperatingConditions, cell, figure_rows
 from leactl.report.terminal import interval_text, value_text
 from leactl.report.terminal import paper_figures as paper
 

@@ -18,7 +18,7 @@ from leactl.driver.contract import TripAccuracy
 from leactl.safety.limits import LEADS
 from leactl.safety.thermal.bound import HOTTEST, MEAN, OTHER_PHASES, ThermalBound
 from leactl.safety.thermal.box import Box
-from leactl.safety.thermal.capability import at_limit, settled
+from leactl.safety.thermal.guarded_currents import at_limit, settled
 from leactl.safety.thermal.turning import LED_LOOSE
 
 # by which the voltage may be off its setting; drivers report a larger difference as out of regulation

@@ -10,9 +10,8 @@ from leactl.driver.probe import CanProbe, Seen, Sighting
 from leactl.errors import NoAnswer
 from leactl_plugins.elmo_can.commissioning import identity_of, optional_number
 from leactl_plugins.elmo_can.sdo import Sdo
-from leactl_plugins.elmo_can.settings import ElmoSettings, identifiers_of
+from leactl_plugins.elmo_can.settings import NODES, ElmoSettings, identifiers_of
 
-NODES = range(1, 128)
 REQUEST, ANSWER, HEARTBEAT = 0x600, 0x580, 0x700  # identifiers, each plus the node
 NETWORK_STATES = (0x00, 0x04, 0x05, 0x7F)
 READ_DEVICE_TYPE = bytes.fromhex("4000100000000000")  # 0x1000:0, which every node has

@@ -7,6 +7,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from leactl.driver.contract import SAFE_STATE_S, DriverSettings
 from leactl_plugins.elmo.scales import CurrentConvention
 
+NODES = range(1, 128)  # CiA 301
+Node = Annotated[int, Field(strict=True, ge=NODES[0], le=NODES[-1])]
+
 
 class VoltageObject(BaseModel):
     """The mappable object that holds the q-axis voltage; it differs by firmware, so it is never assumed."""
@@ -36,11 +39,11 @@ def identifiers_of(node: int) -> frozenset[int]:
 class ElmoSettings(DriverSettings):
     """Everything that differs from drive to drive; scales come from the drive itself."""
 
-    node: Annotated[int, Field(strict=True, ge=1, le=127)]
+    node: Node
     counts_per_turn: Annotated[int, Field(strict=True, ge=4, le=2**28)]
     sign: Literal[-1, 1] = 1
     current_convention: CurrentConvention = CurrentConvention.AMPLITUDE
-    host_node: Annotated[int, Field(strict=True, ge=1, le=127)] = 126  # 127 is what Elmo ships a drive with
+    host_node: Node = 126  # 127 is what Elmo ships a drive with
     consumer_heartbeat_ms: Annotated[int, Field(strict=True, ge=10, le=round(SAFE_STATE_S * 1000))] = 100
     producer_heartbeat_ms: Annotated[int, Field(strict=True, ge=5, le=5000)] = 50
     abort_option: Literal[1, 2, 3] = 2

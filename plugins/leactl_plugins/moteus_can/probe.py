@@ -12,7 +12,7 @@ from leactl.driver.probe import CanProbe, Seen, Sighting
 from leactl_plugins.moteus_can.exchange import query
 from leactl_plugins.moteus_can.multiplex import FROM_HOST, Resolution, identifier, padded, parse
 from leactl_plugins.moteus_can.registers import MAP_VERSION, Register
-from leactl_plugins.moteus_can.settings import HOST
+from leactl_plugins.moteus_can.settings import HOST, NODES
 
 WHO = query(
     (Register.MODE, 1, Resolution.INT8),
@@ -20,7 +20,6 @@ WHO = query(
     (Register.MODEL_NUMBER, 3, Resolution.INT32),  # with the versions of firmware and register map
     (Register.SERIAL_NUMBER, 3, Resolution.INT32),
 )
-NODES = range(1, 127)  # 127 is everybody
 ASKED_BY_A_HOST = 0x8000  # bit of an identifier
 PACE_S = 0.002  # from one controller to the next: frame and answer take 0.3 ms at 1 and 5 Mbit/s
 ANSWER_S = 0.1

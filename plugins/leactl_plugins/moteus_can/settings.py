@@ -7,13 +7,14 @@ from pydantic import Field
 from leactl.driver.contract import SAFE_STATE_S, DriverSettings
 from leactl_plugins.moteus_can.multiplex import FROM_HOST, identifier
 
+NODES = range(1, 127)  # ids of controllers; 127 is everybody
 HOST = 0  # the source of the host's frames, as the maker's programs have it
 
 
 class MoteusSettings(DriverSettings):
     """Everything that differs from drive to drive."""
 
-    node: Annotated[int, Field(strict=True, ge=1, le=126)]  # 127 is everybody
+    node: Annotated[int, Field(strict=True, ge=NODES[0], le=NODES[-1])]
     sign: Literal[-1, 1] = 1
     watchdog_ms: Annotated[int, Field(strict=True, ge=10, le=round(SAFE_STATE_S * 1000))] = 100
     supply_period_s: Annotated[float, Field(strict=True, ge=0.05, le=60)] = 0.2

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from leactl.runfile.importing.column_names import is_time, meaning_of, shaft_of
 from leactl.runfile.importing.mapping import PLACEHOLDER
-from leactl.runfile.importing.proposal.evidence import (
+from leactl.runfile.importing.proposal.inferred_units import (
     PAIR_GAIN_TOLERANCE,
     UNIT_GAIN_TOLERANCE,
     UNITS_LIKE_A_GEAR,

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from leactl.effects import library
 from leactl.effects.contract import Form
-from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.free_forms import missed_by_form, outdoes_free_forms
 from leactl.gap.search.regression import Candidate, Fit, Normal, Stack, gain_of
 from leactl.gap.search.stamp_fit import delay_of_stamps

@@ -7,8 +7,9 @@ they are those of the actuator that was heated.
 from leactl.analysis.estimate import Estimate
 from leactl.analysis.heating.parameters import FittedParameters
 from leactl.analysis.heating.resistance import REFERENCE
-from leactl.model.capability import STANDING, STEADY_STATE, TURNING, Winding, current_held
+from leactl.model.continuous_current import STANDING, STEADY_STATE, TURNING, Winding, current_held
 
+PAPER_WINDING_LIMIT = 130.0  # degC, for a model that states none
 PEAKS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 60.0, 300.0)
 MOTIONS = {"": TURNING, "_standing": STANDING}
 

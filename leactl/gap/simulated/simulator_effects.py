@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from leactl.effects import library
 from leactl.gap.equations import Equation
-from leactl.gap.search.evidence import Evidence
+from leactl.gap.search.effect_regression import Evidence
+from leactl.gap.search.effect_sets import ENTRY, FORM_ERROR
 from leactl.gap.search.regression import Candidate, Fit, disagreement, effect_in
-from leactl.gap.search.sets import ENTRY, FORM_ERROR
 from leactl.gap.signals.record import Record
 
 Array = npt.NDArray[np.float64]

@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from leactl.effects import library
 from leactl.gap.null import measure
-from leactl.gap.search.evidence import Evidence, every_form, forms_here
+from leactl.gap.search.effect_regression import Evidence, every_form, forms_here
+from leactl.gap.search.effect_sets import ENTRY, SHAPE, WAVE
 from leactl.gap.search.regression import Candidate, Normal
-from leactl.gap.search.sets import ENTRY, SHAPE, WAVE
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.setpoints import marked
 from leactl.model.nominal import Model

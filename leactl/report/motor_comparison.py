@@ -18,7 +18,7 @@ from leactl.model.derived_quantities import (
 from leactl.model.motor import Motor, load_sheet
 from leactl.model.motor_schema import LoopFigures, MotorSheet
 from leactl.report.terminal import TEXT_WIDTH, aligned, wrapped
-from leactl.safety.thermal.capability import Nominal, nominal
+from leactl.safety.thermal.guarded_currents import Nominal, nominal
 
 PEAK_DURATION_S = 20.0  # as in the paper
 # inductance over resistance of real actuators is 0.1 to 20 ms; with an inductance in mH it is a thousand times that

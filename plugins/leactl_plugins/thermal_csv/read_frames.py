@@ -23,7 +23,7 @@ from leactl.tables.text_table import (
     rows_of,
     strip_cells,
 )
-from leactl_plugins.thermal_csv.series import (
+from leactl_plugins.thermal_csv.read_series import (
     COLDEST,
     HOTTEST,
     Array,
