@@ -39,6 +39,7 @@ def test_a_sensor_without_its_noise_is_told(bench):
     assert any("torque reads exactly 0 N*m throughout" in note for note in notes)
 
 
+@pytest.mark.long
 def test_the_intervals_hold_the_truth_as_often_as_they_say(bench):
     missed = np.zeros(3)
     for seed in range(40):

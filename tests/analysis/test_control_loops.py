@@ -41,6 +41,7 @@ def estimates(tmp_path, monkeypatch):
     return run
 
 
+@pytest.mark.long
 def test_current_steps_give_the_figures_of_the_loop(estimates):
     found, _ = estimates("current-step", "trials=2")
     truth = current_figures(
@@ -52,6 +53,7 @@ def test_current_steps_give_the_figures_of_the_loop(estimates):
     assert abs(found["steady_state_error"].value) < 0.1
 
 
+@pytest.mark.long
 def test_position_steps_give_the_figures_of_the_plant_that_was_run(estimates):
     found, (rig,) = estimates("position-step", "trials=1")
     truth = rig.figures()

@@ -60,6 +60,7 @@ def test_without_noise_every_power_comes_back(tmp_path_factory, r, kt, b, f, dri
     assert grid.axes == {"velocity_rad_s": SPEEDS, "current_A": tuple(-one for one in reversed(CURRENTS))}
 
 
+@pytest.mark.long
 def test_intervals_hold_the_truth_with_noise_zero_and_calibrations(coupled):
     truth, names = (
         Truth(),
@@ -101,6 +102,7 @@ def clear_of(gain):
     return edit
 
 
+@pytest.mark.long
 def test_noise_alone_is_covered_too(coupled):
     plus, _ = Truth().efficiencies()
     found = [analyzed(analyze, coupled.run(zero=0.3)).find("driving_efficiency") for _ in range(30)]

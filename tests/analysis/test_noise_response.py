@@ -37,6 +37,7 @@ def test_a_bandwidth_comes_back(tmp_path, pole):
     assert found(result)["coherent_band_high"].value == pytest.approx(40, abs=0.5)
 
 
+@pytest.mark.long
 def test_intervals_hold_the_truth_about_as_often_as_they_say(tmp_path):
     truth, held = true_bandwidth(8.0), 0
     for seed in range(20):

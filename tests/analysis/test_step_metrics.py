@@ -36,7 +36,12 @@ def first_order(lag):
     return lambda time: 1.0 - np.exp(-time / lag)
 
 
-@pytest.mark.parametrize(("lag", "noise"), [(0.3e-3, 0.01), (1e-3, 0.01), (2e-3, 0.02), (20e-3, 0.02)])
+SLOWER = [(1e-3, 0.01), (2e-3, 0.02), (20e-3, 0.02)]
+
+
+@pytest.mark.parametrize(
+    ("lag", "noise"), [(0.3e-3, 0.01), *(pytest.param(*loop, marks=pytest.mark.long) for loop in SLOWER)]
+)
 def test_noise_does_not_make_a_fast_loop_settle_late(lag, noise):
     held = 0
     for seed in range(SEEDS):
@@ -49,8 +54,8 @@ def test_noise_that_leaves_the_settling_open_gives_no_time():
     assert math.isnan(estimate(settling_time, noisy(first_order(0.3e-3), 0.05, np.random.default_rng(1))).value)
 
 
-@pytest.mark.parametrize("natural", [20.0, 60.0])
-@pytest.mark.parametrize("above", [5.0, 8.0, 20.0])
+@pytest.mark.parametrize("natural", [20.0, pytest.param(60.0, marks=pytest.mark.long)])
+@pytest.mark.parametrize("above", [5.0, pytest.param(8.0, marks=pytest.mark.long), 20.0])
 def test_an_overshoot_is_not_its_highest_noise(natural, above):
     true, held, values = 100.0 * math.exp(-math.pi * 0.75), 0, []  # of damping 0.6
     for seed in range(SEEDS):

@@ -45,6 +45,7 @@ def test_a_response_that_stays_short_of_its_reference_says_by_how_much(tmp_path)
     assert result["rise_time"].value == pytest.approx(0.01 * math.log(9), rel=0.01)
 
 
+@pytest.mark.long
 def test_intervals_hold_the_truth_about_as_often_as_they_say(tmp_path):
     truth = current_figures(BANDWIDTH, LEAD, LEAD_TIME)
     held = dict.fromkeys(("overshoot", "settling_time", "steady_state_error"), 0)
@@ -107,6 +108,7 @@ def test_a_few_clipped_readings_of_a_top_leave_its_trial_out(tmp_path):
     assert any("left out 5: q_axis_current is clipped at 7.9 A" in note for note in analyze_runs([path]).notes)
 
 
+@pytest.mark.long
 def test_readings_that_are_noisier_in_motion_make_no_higher_top(tmp_path):
     held, errors, true = 0, [], 100.0 * math.exp(-math.pi * 0.75)
     for seed in range(8):

@@ -51,7 +51,7 @@ def test_a_hold_without_direction_among_others_that_have_one_does_not_count(benc
     [
         pytest.param({"scatter": 0.02}, marks=pytest.mark.long),
         pytest.param({"curve": 0.02}, marks=pytest.mark.long),
-        {"scatter": 0.02, "curve": 0.02},
+        pytest.param({"scatter": 0.02, "curve": 0.02}, marks=pytest.mark.long),
         {"current_error": 0.6},
     ],
     ids=str,
