@@ -54,6 +54,7 @@ def test_both_cases_are_named_and_their_gap_is_closed(scored):
     assert not any("first cause" in miss["question"] for miss in found["misses"])
 
 
+@pytest.mark.long
 def test_who_is_told_the_effects_knows_the_stamps_of_a_machine_s_log_as_a_diagnosis_does(tmp_path, monkeypatch):
     plans = [("single", ("quadratic_drag",), "faint"), ("single", ("position_dependent_friction",), "plain")]
     monkeypatch.setattr("leactl.joints.make.plan", lambda *_: plans)  # whatever the library grows by

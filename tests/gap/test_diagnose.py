@@ -202,6 +202,7 @@ def test_free_runs_alone_say_what_they_cannot_show(sound_bench):
     assert any("torque sensor" in note for note in found.notes)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not PRACTICE.is_dir(), reason="the practice cases are not beside this checkout")
 def test_a_bench_of_another_simulator_with_wrong_parameters_only_gets_no_cause():
     found = answer(PRACTICE / "practice-1")
@@ -245,6 +246,7 @@ def test_where_no_kind_of_run_occurs_twice_stretches_are_held_out():
     assert [record.name for record in split([run("a", drive_gain=1.0), run("b", drive_gain=1.0)])[1]] == ["b"]
 
 
+@pytest.mark.long
 def test_a_bench_with_one_run_of_each_kind_is_diagnosed_all_the_same(sound_bench):
     folder = sound_bench
     runs = sorted({path.name.rsplit("-", 1)[0]: path for path in folder.glob("*.h5")}.values())

@@ -57,6 +57,11 @@ DRAWN = {  # kind of machine, effects, seed, strength and what else is changed, 
     "between two values": ("drone_motor", ["power_foldback"], 6, "plain", {"rate": 250.0}),
 }
 SELDOM = {  # cases of long tests
+    "joint_elasticity of exoskeleton",
+    "torque_limit of geared_joint",
+    "power_foldback of wheel_motor",
+    "share of asymmetric_friction",
+    "quick heavy_axis",
     "gear_backlash of heavy_axis",
     "one way 3",
     "share of position_dependent_friction",
@@ -121,7 +126,7 @@ def test_what_a_joint_has_is_named_with_its_size(drawn_case, name, kind):
     assert told[parameter].std > 0.0
 
 
-@pytest.mark.parametrize("kind", QUICK)
+@pytest.mark.parametrize("kind", often({f"quick {kind}": (kind,) for kind in QUICK}))
 def test_friction_that_builds_up_over_an_angle_shows_where_a_reversal_is_over_within_a_row(drawn_case, kind):
     case, run = drawn_case(f"quick {kind}")
     found = diagnose(case)

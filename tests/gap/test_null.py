@@ -135,6 +135,7 @@ def test_sound_machines_move_no_parameter_that_these_runs_tell(null):
         assert scatter < 0.01, name
 
 
+@pytest.mark.long
 def test_a_torque_constant_that_every_fit_holds_biases_no_other_parameter(tmp_path):
     """So precise runs move even what a narrow prior holds; nothing but ratios to it can be told without a voltage."""
     machine = draw_machine(np.random.default_rng([3, 0]), "spindle")

@@ -25,7 +25,12 @@ def cubic(joint, top):
 
 
 @pytest.mark.parametrize(
-    ("law", "nearest"), [(hyperbolic, "stribeck"), (power_of_1_6, "quadratic_drag"), (cubic, "quadratic_drag")]
+    ("law", "nearest"),
+    [
+        (hyperbolic, "stribeck"),
+        pytest.param(power_of_1_6, "quadratic_drag", marks=pytest.mark.long),
+        pytest.param(cubic, "quadratic_drag", marks=pytest.mark.long),
+    ],
 )
 def test_only_the_nearest_effect_is_named(law, nearest):
     random = np.random.default_rng([77, 0])

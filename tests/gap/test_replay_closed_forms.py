@@ -175,7 +175,7 @@ def test_a_servo_beyond_its_voltage_runs_at_the_speed_of_its_back_emf():
     assert np.diff(job.fast["angle", "test"])[-1] / 5e-3 == pytest.approx(10.0 / CONSTANT, rel=1e-3)
 
 
-@pytest.mark.parametrize("mass", [0.5, 0.001])
+@pytest.mark.parametrize("mass", [0.5, pytest.param(0.001, marks=pytest.mark.long)])
 def test_a_pendulum_let_go_swings_with_its_own_period(mass):
     """A servo that is off brakes nothing, however light its axis."""
     load = {"type": "pendulum", "mass": mass, "length": 0.2}

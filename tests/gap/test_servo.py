@@ -124,6 +124,7 @@ def later(record, first):
     return replace(record, fast=replace(fast, time=fast.time[first:], values=values, valid=valid))
 
 
+@pytest.mark.long
 def test_a_parameter_that_the_model_leaves_out_is_fitted_and_written(tmp_path):
     found = diagnosed(bench(tmp_path), coulomb_friction=None)
     assert named(found) == []
@@ -159,6 +160,7 @@ def test_friction_that_grows_with_load_stands_alone(tmp_path):
     assert found["load_dependent_friction"] > 0.9
 
 
+@pytest.mark.long
 def test_friction_that_grows_with_load_and_falls_with_speed_is_found_together(tmp_path):
     found = standing(*bench(tmp_path, load=0.3, stribeck=0.5))
     assert {"load_dependent_friction", "stribeck"} <= {name for name, p in found.items() if p > 0.9}

@@ -61,6 +61,7 @@ def test_a_limited_servo_is_diagnosed_whole_from_position_goal_and_duty():
     assert not any("reference_rate_limit" in note and "invisible" in note for note in answer.notes)
 
 
+@pytest.mark.long
 def test_a_limited_servo_is_told_from_a_weak_motor_by_position_and_goal_alone():
     servo, random = drawn(4, "limit", seconds=8.0, free=True)
     found = standing(servos.case(servo, random, volts=False, kinds=("steps", "sines")))
