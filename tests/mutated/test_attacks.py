@@ -172,10 +172,21 @@ def test_a_mat_file_leads_nowhere_else(tmp_path, outside, title):
     assert str(int(attacks.SECRET)) not in ended.said
 
 
-def test_a_mat_file_of_version_5_unpacks_no_further_than_it_may(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("mark", "order", "first"),
+    [
+        (b"\0\1IM", "<", b""),
+        (b"\0\1IM", "<", struct.pack("<LL", 14, 8) + bytes(8)),
+        (b"\1\0MI", ">", struct.pack(">LL", 14, 8) + bytes(8)),
+        (b"\1\0XX", ">", b""),
+    ],
+    ids=["alone", "behind one not packed", "in the other order", "with a mark that says no order"],
+)
+def test_a_mat_file_of_version_5_unpacks_no_further_than_it_may(tmp_path, monkeypatch, mark, order, first):
     path = tmp_path / "a.mat"
-    packed = zlib.compress(struct.pack("<LL", 14, 1 << 22) + bytes(1 << 22))
-    path.write_bytes(b"MATLAB 5.0".ljust(124) + b"\0\1IM" + struct.pack("<LL", 15, len(packed)) + packed)
+    packed = zlib.compress(struct.pack(f"{order}LL", 14, 1 << 22) + bytes(1 << 22))
+    bomb = struct.pack(f"{order}LL", 15, len(packed)) + packed
+    path.write_bytes(b"MATLAB 5.0".ljust(124) + mark + first + bomb)
     monkeypatch.setattr("leactl.runfile.importing.sources.formats.mat.MOST_UNPACKED", (8, 1 << 20))
     with pytest.raises(InputError, match=f"{path}: unpacks to more than"):
         mat_tree(path)

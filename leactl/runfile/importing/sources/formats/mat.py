@@ -21,7 +21,7 @@ from leactl.runfile.importing.sources.trees import TreeSource, Undecoded
 
 ENDINGS = (".mat",)
 MAT_HEADER: Final = 128  # bytes, of versions 5 to 7
-MAT_PACKED: Final = 15  # type of a compressed element
+MAT_MATRIX, MAT_COMPRESSED = 14, 15  # types of an element: a variable, and a compressed variable
 BLOCK: Final = 1 << 20  # bytes that are decompressed at once
 
 
@@ -43,7 +43,7 @@ def mat_tree(path: Path) -> Any:
         if h5py.is_hdf5(path):
             tree = hdf5_tree(path)
         else:
-            refuse_swelling(path)
+            check_unpacked_size(path)
             tree = loadmat(path, simplify_cells=True)
     # scipy's parser raises any of these for a damaged file
     except (ValueError, TypeError, KeyError, IndexError, EOFError, NotImplementedError, MemoryError) as error:
@@ -55,7 +55,7 @@ def mat_tree(path: Path) -> Any:
     return {name: value for name, value in tree.items() if not name.startswith("__")}
 
 
-def refuse_swelling(path: Path) -> None:
+def check_unpacked_size(path: Path) -> None:
     """Refuse a MAT file of version 5 to 7 whose compressed variables exceed `MOST_UNPACKED`.
 
     The file is a sequence of elements with type and length; compressed ones are zlib streams (MATLAB, MAT-file format).
@@ -69,9 +69,17 @@ def refuse_swelling(path: Path) -> None:
         size = os.fstat(raw.fileno()).st_size
         bytes_left = times * size + extra
         head = raw.read(MAT_HEADER)
-        order: Literal["big", "little"] = "big" if head.endswith(b"MI") else "little"
-        while len(tag := raw.read(8)) == 8 and int.from_bytes(tag[:4], order) == MAT_PACKED:
-            packed = raw.read(int.from_bytes(tag[4:], order))
+        if 0 in head[:4]:
+            return  # version 4, which compresses nothing
+        order: Literal["big", "little"] = "little" if head.endswith(b"IM") else "big"  # as scipy takes other marks
+        while len(tag := raw.read(8)) == 8:
+            element_type, length = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)
+            if element_type == MAT_MATRIX:
+                raw.seek(length, os.SEEK_CUR)
+                continue
+            if element_type != MAT_COMPRESSED:
+                return  # damaged, as scipy will say
+            packed = raw.read(length)
             deflate = zlib.decompressobj()
             while packed:
                 try:

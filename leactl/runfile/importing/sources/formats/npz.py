@@ -31,7 +31,7 @@ def open_source(path: Path, request: SourceRequest) -> TreeSource:
     with open_regular(path) as raw:
         try:
             with zipfile.ZipFile(raw) as archive:
-                refuse_swelling(path, archive, raw)
+                check_unpacked_size(path, archive, raw)
                 for info in archive.infolist():
                     arrays[info.filename.removesuffix(".npy")] = read_array(path, archive, info)
         except DAMAGE as fault:
@@ -47,7 +47,7 @@ def columns_of(arrays: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def refuse_swelling(path: Path, archive: zipfile.ZipFile, raw: BinaryIO) -> None:
+def check_unpacked_size(path: Path, archive: zipfile.ZipFile, raw: BinaryIO) -> None:
     """Refuse an archive with too many arrays, or one that exceeds `MOST_UNPACKED`.
 
     Raises

@@ -68,7 +68,7 @@ def open_source(path: Path, request: SourceRequest) -> ParquetSource:
     with open_regular(path) as raw, readable(path, arrow):
         file = parquet.ParquetFile(raw)
         names = [field.name for field in file.schema_arrow if asked_for(field.name, request)]
-        refuse_swelling(path, file.metadata, names)
+        check_unpacked_size(path, file.metadata, names)
         table = file.read(columns=names)
         while any(arrow.types.is_struct(field.type) for field in table.schema):
             table = table.flatten()
@@ -97,7 +97,7 @@ def asked_for(name: str, request: SourceRequest) -> bool:
     return any(str(wanted.name).startswith(name) for wanted in (*request.columns, *request.labels))
 
 
-def refuse_swelling(path: Path, metadata: Any, names: Iterable[str]) -> None:
+def check_unpacked_size(path: Path, metadata: Any, names: Iterable[str]) -> None:
     """Refuse a file whose columns exceed `MOST_UNPACKED`; a repeated value takes almost no space in a Parquet file.
 
     Raises
