@@ -138,6 +138,16 @@ def test_what_is_no_expression_is_refused_in_one_line(text, message):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "times"),
+    [("foo == 1", 1), ("conditon == 'a'", 1), ("parameters.foo == 1", 0), ("parameters['f'] == 1", 0)],
+)
+def test_the_advice_on_quotes_is_given_once_and_not_on_a_parameter(text, times):
+    with pytest.raises(InputError) as refused:
+        read_test(text, KNOWN)
+    assert str(refused.value).count("a text stands in quotes") == times
+
+
 NAMES = {"condition": "loaded", "protocol": "friction", "duration": 72.5, "rows": 3600, "hold_s": 6, "label": "7"}
 texts = st.sampled_from(["loaded", "friction", "7", "", "l"])
 numbers = st.sampled_from([0, 6, 72.5, 3600, -1, 6.0])

@@ -259,7 +259,7 @@ class _Reader:
             return f"; did you mean {close[0]!r}"
         names = sorted(known)
         more = f" and {len(names) - MOST_NAMES_SHOWN} more" if len(names) > MOST_NAMES_SHOWN else ""
-        return f"; known: {', '.join(names[:MOST_NAMES_SHOWN]) or 'none'}{more}; a text stands in quotes"
+        return f"; known: {', '.join(names[:MOST_NAMES_SHOWN]) or 'none'}{more}"
 
     def _refuse_kind(self, name: NamedValue, constant: Any, node: ast.expr) -> None:
         expected = {TEXT: str, NUMBER: (int, float), TEXTS: list}.get(name.kind, object)
