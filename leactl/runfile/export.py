@@ -105,13 +105,13 @@ def mat_writers(run: Run) -> dict[str, Writer]:
 
     def write(target: Path) -> None:
         content = {
-            "run": struct({**run.attributes}),
-            "setup": struct({**run.setup}),
-            "parameters": struct(run.parameters),
-            "instruments": struct({name: struct({**facts}) for name, facts in run.instruments.items()}),
-            "streams": struct({stream: mat_stream(run, stream) for stream in run.streams}),
-            "steps": [struct({**vars(step), "parameters": str(step.parameters)}) for step in run.steps],
-            "events": [struct(vars(event)) for event in run.events],
+            "run": matlab_fields({**run.attributes}),
+            "setup": matlab_fields({**run.setup}),
+            "parameters": matlab_fields(run.parameters),
+            "instruments": matlab_fields({name: matlab_fields({**facts}) for name, facts in run.instruments.items()}),
+            "streams": matlab_fields({stream: mat_stream(run, stream) for stream in run.streams}),
+            "steps": [matlab_fields({**vars(step), "parameters": str(step.parameters)}) for step in run.steps],
+            "events": [matlab_fields(vars(event)) for event in run.events],
         }
         with target.open("xb") as file:
             savemat(file, content, long_field_names=True, do_compression=True, oned_as="column")
@@ -125,8 +125,8 @@ def mat_stream(run: Run, stream: str) -> dict[str, Any]:
     values = {name: np.concatenate(parts) for name, parts in all_rows(run, stream).items()}
     for spec in run.streams[stream]:
         about = {key: value for key, value in spec._asdict().items() if value and key != "dtype"}
-        columns[spec.name] = struct({"values": values[spec.name], **about})
-    return struct(columns)
+        columns[spec.name] = matlab_fields({"values": values[spec.name], **about})
+    return matlab_fields(columns)
 
 
 def all_rows(run: Run, stream: str) -> dict[str, list[np.ndarray[Any, Any]]]:
@@ -140,17 +140,17 @@ def all_rows(run: Run, stream: str) -> dict[str, list[np.ndarray[Any, Any]]]:
     return columns
 
 
-def struct(fields: dict[str, Any]) -> dict[str, Any]:
+def matlab_fields(fields: dict[str, Any]) -> dict[str, Any]:
     """Rename fields to distinct names that MATLAB accepts: letters, digits and underscores, a letter first."""
     named: dict[str, Any] = {}
     for name, value in fields.items():
         plain = re.sub(r"\W", "_", name, flags=re.ASCII)
         plain = (plain if plain[:1].isalpha() else f"x{plain}")[:FIELD_LENGTH]
-        suffix = 2
-        while plain in named:
-            plain = f"{plain[: FIELD_LENGTH - 4]}_{suffix}"
-            suffix += 1
-        named[plain] = value
+        field, number = plain, 1
+        while field in named:
+            number += 1
+            field = f"{plain[: FIELD_LENGTH - 4]}_{number}"
+        named[field] = value
     return named
 
 

@@ -11,7 +11,7 @@ from pyarrow import parquet
 from scipy.io import loadmat
 
 from leactl.errors import InputError
-from leactl.runfile.export import export
+from leactl.runfile.export import export, matlab_fields
 from leactl.runfile.read.reader import Run
 
 from .specimen import unseal
@@ -59,6 +59,11 @@ def test_mat_holds_structs(complete: Path, tmp_path: Path):
     assert content["streams"]["loop"]["theta"]["values"][2] == 1.0
     assert content["steps"][0]["name"] == "hold"
     assert content["setup"]["mechanical"] == "coupled"
+
+
+def test_names_that_matlab_cannot_tell_apart_are_numbered():
+    assert list(matlab_fields(dict.fromkeys(("a b", "a.b", "a-b", "a/b"), 0))) == ["a_b", "a_b_2", "a_b_3", "a_b_4"]
+    assert list(matlab_fields({"x" * 70: 0, "x" * 80: 0})) == ["x" * 63, "x" * 59 + "_2"]
 
 
 def test_parquet_holds_units(complete: Path, tmp_path: Path):
