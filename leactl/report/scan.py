@@ -1,5 +1,6 @@
 """Results of a scan of wires as text, as JSON, and as the blocks `buses` and `devices` of a bench file."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -135,12 +136,14 @@ def _flow_style(value: dict[str, Any] | list[Any]) -> str:
 def _names(scanned: Scanned) -> dict[int, str]:
     """Return unique names of the devices with a driver, by the `id` of the `Answered`."""
     names: dict[int, str] = {}
+    namesakes: Counter[str] = Counter()  # number of devices so far with the same driver and address
     for _wire, report in scanned:
         for device in report.answered:
             if _driver(device):
                 address = "" if device.sighting.address is None else f"_{device.sighting.address}"
-                namesakes = sum(name.startswith(f"{device.driver}{address}") for name in names.values())
-                names[id(device)] = f"{device.driver}{address}{f'_{chr(97 + namesakes)}' if namesakes else ''}"
+                name = f"{device.driver}{address}"
+                names[id(device)] = f"{name}_{chr(ord('a') + namesakes[name])}" if namesakes[name] else name
+                namesakes[name] += 1
     return names
 
 
