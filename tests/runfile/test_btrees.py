@@ -1,5 +1,7 @@
 """The index of every file that h5py writes is a tree, in whatever format, and in the oldest one it is looked at."""
 
+import io
+import itertools
 import struct
 from pathlib import Path
 
@@ -218,6 +220,15 @@ def test_an_index_of_newer_formats_that_keeps_hdf5_busy_is_refused(tmp_path: Pat
     path.write_bytes(change(bytearray(path.read_bytes())))
     with pytest.raises(InputError, match=words):
         open_foreign(path)
+
+
+def test_a_block_of_empty_messages_is_read_no_further_than_the_limit(monkeypatch):
+    monkeypatch.setattr(btrees, "MOST_MESSAGES", 100)
+    header = b"OHDR\x02\x02" + struct.pack("<I", 1 << 16)  # flags 2: the size of the block takes four bytes
+    messages = btrees.BTrees(io.BytesIO(header + bytes(1 << 16)), 0)._messages(0)
+    assert sum(1 for _ in itertools.islice(messages, 100)) == 100
+    with pytest.raises(InputError, match="headers of more than 100 entries"):
+        next(messages)
 
 
 def test_a_spoiled_index_of_newer_formats_is_for_hdf5_to_tell(tmp_path: Path):

@@ -177,9 +177,12 @@ class BTrees:
             signature = checksum = 0
         else:
             return
+        too_much = InputError(f"headers of more than {MOST_MESSAGES} entries or {MOST_BYTES} bytes")
         for position, length in blocks:  # the loop appends further blocks
             self._bytes_met += length
-            block = self._bytes(position, length) if self._bytes_met <= MOST_BYTES else b""
+            if self._bytes_met > MOST_BYTES:
+                raise too_much
+            block = self._bytes(position, length)
             begin = 0
             while begin + head.size <= len(block):
                 kind, body_size, _flags = head.unpack_from(block, begin)
@@ -190,9 +193,9 @@ class BTrees:
                     next_block, next_length = struct.unpack_from("<QQ", body)
                     blocks.append((next_block + signature, max(0, next_length - signature - checksum)))
                 self._messages_met += 1
+                if self._messages_met > MOST_MESSAGES:
+                    raise too_much
                 yield HeaderMessage(kind, body)
-            if self._messages_met > MOST_MESSAGES or self._bytes_met > MOST_BYTES:
-                raise InputError(f"headers of more than {MOST_MESSAGES} entries or {MOST_BYTES} bytes")
 
 
 def root_in(message: HeaderMessage) -> Root | None:
