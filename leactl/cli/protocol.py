@@ -104,7 +104,7 @@ def plan(
         from leactl.runner.bench_fit import check_fit, unwitnessed
         from leactl.runner.checked_bench import load_checked
         from leactl.runner.thermal_admission import Windings, standing
-        from leactl.runner.unattended_supply import left_on
+        from leactl.runner.unattended_supply import supplies_left_on
         from leactl.safety.refusals import check_rate
 
         file, devices, _document = load_checked(bench)
@@ -117,7 +117,7 @@ def plan(
         limits = file.limits
         windings = Windings(file, devices, "", cold=True)
         forecast = windings.forecast(expanded)
-        left_on_texts = [supply.summary for supply in left_on(expanded, windings, machine_bench)]
+        left_on_texts = [supply.summary for supply in supplies_left_on(expanded, windings, machine_bench)]
         hottest_degc = hottest(forecast)
         if forecast.turning_from_hz is not None:
             slow_rate_note = f"note: {standing(forecast.turning_from_hz)}; rate_Hz is {expanded.rate_Hz:g}"

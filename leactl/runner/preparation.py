@@ -49,13 +49,14 @@ def admitted(request: Request, windings: Windings) -> Admitted:
     check_supplies(request, supervisor)
     if not switches_supplies(request.plan):
         return Admitted(request, bench, supervisor, ())
-    from leactl.runner.unattended_supply import endings, left_on  # imports a root finder, which no other run needs
+    # imports a root finder, which no other run needs
+    from leactl.runner.unattended_supply import endings, supplies_left_on
 
-    powered = left_on(request.plan, windings, bench)
-    supervisor.supplies.endings = endings(request.plan, windings, powered)
-    for supply in powered:
+    left_on = supplies_left_on(request.plan, windings, bench)
+    supervisor.supplies.endings = endings(request.plan, windings, left_on)
+    for supply in left_on:
         windings.may_be_left_on({supply.role: supply.reached})
-    return Admitted(request, bench, supervisor, [supply.summary for supply in powered])
+    return Admitted(request, bench, supervisor, [supply.summary for supply in left_on])
 
 
 def switches_supplies(plan: Plan) -> bool:

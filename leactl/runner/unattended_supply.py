@@ -18,11 +18,11 @@ from leactl.safety.supplies import Ending, Levels, at_leads
 from leactl.safety.thermal.bound import BURNT, HOTTEST
 from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.guard import MARGIN_K
-from leactl.safety.thermal.supply_left_on import Endured, endured, reached, trip_level
+from leactl.safety.thermal.supply_left_on import Endurance, endurance, temperature_reached, trip_level
 
 
 class EndedBy(StrEnum):
-    """Reason why a supply that is left on does no harm."""
+    """What keeps a supply that is left on from overheating the winding; NOTHING if nothing does."""
 
     OUTLIVED = "outlived"
     PROTECTION = "protection"
@@ -37,15 +37,15 @@ class LeftOn:
     role: str
     voltage: float  # V
     current: float  # A
-    reached: float  # degC, of the hottest phase at the most, if the levels stay on for ever
+    reached: float  # degC, of the hottest phase at the most, if the levels stay on for ever; infinite for a delta
     ended_by: EndedBy
     trips_at: float | None = None  # V, trip level of its protection
-    most: float = math.inf  # A, highest reading for which the winding endures the levels
+    endured_current: float = math.inf  # A, highest reading for which the winding endures the levels
 
     @property
     def summary(self) -> str:
         """The consequence if nobody switches the supply off, in one line."""
-        levels = f"{self.role} supply left on at {self.voltage:g} V, {self.current:g} A: winding {_hot(self.reached)}"
+        levels = f"{self.role} supply left on at {self.voltage:g} V, {self.current:g} A: winding {self._temperature}"
         match self.ended_by:
             case EndedBy.OUTLIVED:
                 return f"{levels}, which it outlives"
@@ -54,10 +54,16 @@ class LeftOn:
             case EndedBy.ATTENDED:
                 return f"{levels}; the run is attended"
             case _:
-                return f"{levels}, and nothing ends it"
+                return f"{levels}; nothing ends the current"
+
+    @property
+    def _temperature(self) -> str:
+        if math.isinf(self.reached):
+            return "temperature not bounded"
+        return f"{self.reached:.0f} degC" if self.reached < BURNT else "above every limit"
 
 
-def left_on(plan: Plan, windings: Windings, bench: Bench) -> list[LeftOn]:
+def supplies_left_on(plan: Plan, windings: Windings, bench: Bench) -> list[LeftOn]:
     """Judge each pair of levels of the bench's supplies in a plan, once."""
     supplies = at_leads(bench.others, windings.motors)
     levels: dict[Levels, None] = {}
@@ -65,35 +71,36 @@ def left_on(plan: Plan, windings: Windings, bench: Bench) -> list[LeftOn]:
         for role, output in action.outputs.items() if isinstance(action, SetSupply) else ():
             if output is not None and role in supplies:
                 levels[role, *output] = None
-    return [_judged(windings, supplies[role], plan.attended, role, *output) for role, *output in levels]
+    return [_judge(windings, supplies[role], plan.attended, role, *output) for role, *output in levels]
 
 
-def endings(plan: Plan, windings: Windings, powered: Sequence[LeftOn]) -> dict[Levels, Ending]:
+def endings(plan: Plan, windings: Windings, left_on: Sequence[LeftOn]) -> dict[Levels, Ending]:
     """Return for each pair of levels the protection to arm and the highest current to allow, for the supervisor.
 
     Raises
     ------
     InputError : one line for each pair of levels that nothing ends, with what helps.
     """
-    faults = [_refusal(plan, windings, item) for item in powered if item.ended_by is EndedBy.NOTHING]
+    faults = [_refusal(plan, windings, item) for item in left_on if item.ended_by is EndedBy.NOTHING]
     if faults:
         raise InputError(faults)
-    return {(item.role, item.voltage, item.current): Ending(item.trips_at, item.most) for item in powered}
+    return {(item.role, item.voltage, item.current): Ending(item.trips_at, item.endured_current) for item in left_on}
 
 
-def _judged(
+def _judge(
     windings: Windings, supply: PowerSupply, attended: bool, role: str, voltage: float, current: float
 ) -> LeftOn:
-    motor, settings = windings.motors[role], windings.settings  # not `fed`: a precise reading is no precise setting
+    # `motors`, not `fed`: levels count as they are set, and the tolerance of the line current in `fed` is of readings
+    motor, settings = windings.motors[role], windings.settings
     if motor.winding != "wye":  # heat and resistance of two leads are known for a wye alone
         return LeftOn(role, voltage, current, math.inf, EndedBy.ATTENDED if attended else EndedBy.NOTHING)
     box = Box.of(motor)
     start: Sequence[float] = windings.recalled[role].nodes.tolist()
-    hottest = reached(box, settings.ambient, voltage, current)
-    limits = _endured(windings, role)
+    hottest = temperature_reached(box, settings.ambient, voltage, current)
+    limits = _endurance(windings, role)
     if limits.outlives(voltage, current, start):
-        most = math.inf if attended else limits.most(voltage)
-        return LeftOn(role, voltage, current, hottest, EndedBy.OUTLIVED, most=most)
+        endured_current = math.inf if attended else limits.highest_current(voltage)
+        return LeftOn(role, voltage, current, hottest, EndedBy.OUTLIVED, endured_current=endured_current)
     if isinstance(supply, ProtectedSupply):
         uneven = max(0.0, start[HOTTEST] - (settings.ambient - box.ambient_rise))
         limit = settings.limit - MARGIN_K
@@ -103,29 +110,32 @@ def _judged(
     return LeftOn(role, voltage, current, hottest, EndedBy.ATTENDED if attended else EndedBy.NOTHING)
 
 
-def _endured(windings: Windings, role: str) -> Endured:
+def _endurance(windings: Windings, role: str) -> Endurance:
     settings = windings.settings
-    return endured(Box.of(windings.motors[role]), settings.limit - MARGIN_K, settings.ambient)
+    return endurance(Box.of(windings.motors[role]), settings.limit - MARGIN_K, settings.ambient)
 
 
 def _refusal(plan: Plan, windings: Windings, item: LeftOn) -> str:
     """Return the refusal of levels that nothing ends, with what helps."""
-    limits = _endured(windings, item.role)
+    unattended = f"protocol '{plan.name}': nothing switches off the supply of {item.role} if this machine fails, and"
+    person = "`attended: true` in the protocol, or --attended"
+    if windings.motors[item.role].winding != "wye":
+        return (
+            f"{unattended} the heating of a delta winding through two leads is not bounded here; a person has to stay"
+            f" by it: {person}"
+        )
+    limits = _endurance(windings, item.role)
     # rounded down to what the coarsest supplies can be set to
-    volts, amperes = int(10.0 * limits.voltage(item.current)) / 10.0, int(10.0 * limits.current) / 10.0
+    volts, amperes = int(10.0 * limits.highest_voltage(item.current)) / 10.0, int(10.0 * limits.current) / 10.0
     start = windings.recalled[item.role]
     remedies = [f"current_A of {amperes:g} at the most"]
-    if limits.outlives(volts, item.current, limits.nodes):
+    if limits.outlives(volts, item.current, limits.start_ceilings):
         remedies.insert(0, f"voltage_V of {volts:g} at the most, where the supply itself takes the current back")
     if not limits.outlives(0.0, 0.0, start.nodes.tolist()):
         remedies = ["a rest before"]
+    heat = f"to {item.reached:.0f} degC, above" if item.reached < BURNT else "far above"
     return (
-        f"protocol '{plan.name}': nothing switches off the supply of {item.role} if this machine fails, and"
-        f" {item.voltage:g} V, {item.current:g} A left on may bring its winding to {_hot(item.reached)}, above its"
-        f" limit of {windings.settings.limit:g} degC; what helps: {', or '.join(remedies)}, or a supply whose own"
-        " protection ends it in time, or a person who stays by it: `attended: true` in the protocol, or --attended"
+        f"{unattended} {item.voltage:g} V, {item.current:g} A left on may bring its winding {heat} its limit of"
+        f" {windings.settings.limit:g} degC; what helps: {', or '.join(remedies)}, or a supply whose own protection"
+        f" ends it in time, or a person who stays by it: {person}"
     )
-
-
-def _hot(temperature: float) -> str:
-    return f"{temperature:.0f} degC" if temperature < BURNT else "ruin"

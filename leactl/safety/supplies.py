@@ -18,8 +18,8 @@ from leactl.safety.thermal.guard import ThermalGuard
 from leactl.safety.thermal.measured import Leads
 
 QUANTITY = "line_current"
-TRUSTED = 2  # number of the first reading after a command that surely shows its effect
-SEEN_S = 10.0  # for which readings may exceed what a winding endures: supplies settle, windings take minutes
+FIRST_TRUSTED_READING = 2  # number of the first reading after a command that surely shows its effect
+MOST_ABOVE_ENDURED_S = 10.0  # for which readings may exceed what a winding endures: supplies settle, windings are slow
 Levels = tuple[str, float, float]  # role, V, A
 
 
@@ -27,7 +27,7 @@ class Ending(NamedTuple):
     """Protection level that ends the current of a supply left on, or the current that its winding endures."""
 
     trips_at: float | None = None  # V, of the supply's own protection
-    most: float = math.inf  # A, that the winding endures
+    endured_current: float = math.inf  # A, that the winding endures
 
 
 NEVER = Ending()
@@ -45,8 +45,8 @@ class _Fed:
     flowing: float = 0.0  # A, that counts as heat
     last: float = 0.0  # A, of the latest reading
     readings: int = 0  # since the latest command
-    most: float = math.inf  # A, that its winding endures if nobody switches it off
-    more_since: float = math.nan  # s, since when readings are above `most`
+    endured_current: float = math.inf  # A, that its winding endures if nobody switches it off
+    above_since: float = math.nan  # s, since when readings are above `endured_current`
 
 
 class Supplies:
@@ -108,7 +108,7 @@ class Supplies:
         ending = self.endings.get((role, voltage, current), NEVER)
         if isinstance(fed.device, ProtectedSupply):
             fed.device.protect(fed.device.most[0] if ending.trips_at is None else ending.trips_at)
-        fed.most, fed.more_since = ending.most, math.nan
+        fed.endured_current, fed.above_since = ending.endured_current, math.nan
         fed.device.supply(voltage, current)
         self._command(fed, current)
         fed.device.switch_on()
@@ -147,7 +147,7 @@ class Supplies:
 
         Raises
         ------
-        SafetyTrip : for `SEEN_S` the current has been above what its winding endures.
+        SafetyTrip : for `MOST_ABOVE_ENDURED_S` the current has been above what its winding endures.
         """
         fed = self._by_stream.get(row.stream)
         if fed is None:
@@ -157,20 +157,21 @@ class Supplies:
         # the larger of the last two readings flowed at some time in between
         amperes = max(reading, fed.last) if reading == reading else fed.device.most[1]
         fed.last = amperes if reading != reading else reading
-        self._count(fed, amperes if fed.readings >= TRUSTED else max(amperes, fed.commanded))
-        if reading <= fed.most:
-            fed.more_since = math.nan
-        elif reading > fed.most and not row.time - fed.more_since < SEEN_S:  # NaN neither begins nor ends it
+        self._count(fed, amperes if fed.readings >= FIRST_TRUSTED_READING else max(amperes, fed.commanded))
+        if reading <= fed.endured_current:
+            fed.above_since = math.nan
+        # a reading that is NaN neither begins nor ends it
+        elif reading > fed.endured_current and not row.time - fed.above_since < MOST_ABOVE_ENDURED_S:
             self._give_too_much(fed, reading, row.time)
 
     def _give_too_much(self, fed: _Fed, reading: float, now: float) -> None:
-        """Note when a current above `most` began, or trip: a supply left on may give more than its setting."""
-        if math.isnan(fed.more_since):
-            fed.more_since = now
+        """Note when a current above the endured one began, or trip: a supply left on may give more than its setting."""
+        if math.isnan(fed.above_since):
+            fed.above_since = now
             return
         self._trip(
-            f"{fed.role} supply gives {reading:.4g} A, and its winding outlives {fed.most:.4g} A at the most if nobody"
-            " switches it off: lower current_A, or attend the run"
+            f"{fed.role} supply gives {reading:.4g} A, and its winding outlives {fed.endured_current:.4g} A at the most"
+            " if nobody switches it off: lower current_A, or attend the run"
         )
 
     def _command(self, fed: _Fed, current: float) -> None:

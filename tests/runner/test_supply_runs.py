@@ -19,7 +19,7 @@ from leactl.protocol import protocolfile
 from leactl.runfile.read.reader import Run
 from leactl.runner.thermal_admission import Windings
 from leactl.runner.thermal_memory import Recalled
-from leactl.runner.unattended_supply import endings, left_on
+from leactl.runner.unattended_supply import endings, supplies_left_on
 from tests.cli.terminal import leactl
 from tests.latches import trip_of
 from tests.runner.test_pause import GO_ON, PAUSE
@@ -338,7 +338,22 @@ def test_a_hot_housing_outlives_no_supply_and_a_rest_is_what_helps(tmp_path):
     bench = Bench(file, devices, MachineWiring())
     plan = protocolfile.load("thermal", {"current_A": "2"})
     with pytest.raises(InputError, match="what helps: a rest before, or a supply"):
-        endings(plan, windings, left_on(plan, windings, bench))
+        endings(plan, windings, supplies_left_on(plan, windings, bench))
+
+
+def test_the_refusal_of_a_delta_winding_names_no_levels_that_are_refused_as_well(tmp_path):
+    file, devices, _document = load("emulated-heated")
+    windings = Windings(file, devices, emulated_here=True)
+    windings.motors["test"] = windings.motors["test"].model_copy(update={"winding": "delta"})
+    bench = Bench(file, devices, MachineWiring())
+    plan = protocolfile.load("thermal", {"current_A": "2"})
+    with pytest.raises(InputError) as refused:
+        endings(plan, windings, supplies_left_on(plan, windings, bench))
+    assert str(refused.value) == (
+        "protocol 'thermal': nothing switches off the supply of test if this machine fails, and the heating of a delta"
+        " winding through two leads is not bounded here; a person has to stay by it: `attended: true` in the protocol,"
+        " or --attended"
+    )
 
 
 def test_a_supply_with_a_protection_has_it_armed_while_it_heats_and_put_back(heat, tmp_path):
@@ -437,7 +452,7 @@ def test_the_page_tells_what_stays_on(tmp_path):
             done = leactl("protocol", "plan", "winding-rise", *words)
             [told] = json.loads(done.stdout)["left_on"]
             assert f"at {volts} V, {amperes} A: winding {hottest} degC" in told
-            said = {"outlived": "which it outlives", "refused, or attended": "nothing ends it"}
+            said = {"outlived": "which it outlives", "refused, or attended": "nothing ends the current"}
             assert told.endswith(said.get(end, f"protection at {end.removeprefix('ended at ')}"))
 
 

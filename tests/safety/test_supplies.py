@@ -143,7 +143,7 @@ def test_after_a_reading_that_is_no_number_the_next_one_may_be_of_the_moment_bef
 
 def test_a_supply_that_gives_more_than_is_outlived_trips_though_a_reading_is_lost_now_and_then():
     rig = SupplyRig()
-    rig.supplies.endings = {("test", 8.0, 2.0): Ending(most=2.5)}
+    rig.supplies.endings = {("test", 8.0, 2.0): Ending(endured_current=2.5)}
     rig.heat(8.0, 2.0)
 
     def read(amperes, seconds):

@@ -21,58 +21,66 @@ from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.guarded_currents import at_limit, settled
 from leactl.safety.thermal.turning import LED_LOOSE
 
-# by which the voltage may be off its setting; drivers report a larger difference as out of regulation
-ASTRAY, ASTRAY_V = 0.03, 0.1
+# by which the voltage may differ from its setting; drivers report a larger difference as out of regulation
+VOLTAGE_ERROR_SHARE, VOLTAGE_ERROR_V = 0.03, 0.1
 
 
 @dataclass(frozen=True)
-class Endured:
+class Endurance:
     """Currents and powers that two leads of an actuator endure for ever without passing a temperature."""
 
     current: float  # A, at any voltage
     power: float  # W, at any current
-    gain: float  # true current over the setting, at the most
-    coldest: float  # ohm, lowest resistance between the leads
-    nodes: tuple[float, ...]  # degC, ceilings of hottest phase, mean and housing at the start, of the coolest cell
+    current_gain: float  # true current over the setting, at the most
+    lowest_resistance: float  # ohm, between the leads
+    start_ceilings: tuple[float, ...]  # degC, of hottest phase, mean and housing at the start, of the coolest cell
 
     def outlives(self, voltage: float, current: float, start: Sequence[float]) -> bool:
         """Whether a winding that begins below the bounds `start` [degC] endures these levels [V, A] for ever."""
-        if not all(node <= ceiling for node, ceiling in zip(start, self.nodes, strict=True)):
+        if not all(node <= ceiling for node, ceiling in zip(start, self.start_ceilings, strict=True)):
             return False
-        return current <= self.current or _heat(voltage, self.gain * current, self.coldest) <= self.power
+        return (
+            current <= self.current or _heat(voltage, self.current_gain * current, self.lowest_resistance) <= self.power
+        )
 
-    def most(self, voltage: float) -> float:
-        """Return the highest current [A] that is endured at this voltage [V]; infinite where any current is."""
-        highest = _highest(voltage)
-        by_power = math.inf if highest**2 <= self.power * self.coldest else self.power / (highest * self.gain)
-        return max(self.current, by_power)
+    def highest_current(self, voltage: float) -> float:
+        """Return the highest current [A] that is endured at this voltage [V]; infinite if any current is endured."""
+        output = _highest_output(voltage)
+        if output**2 <= self.power * self.lowest_resistance:
+            return math.inf
+        return max(self.current, self.power / (output * self.current_gain))
 
-    def voltage(self, current: float) -> float:
+    def highest_voltage(self, current: float) -> float:
         """Return the highest voltage [V] at this current [A] for which both levels together bound the heat enough."""
-        highest = max(self.power / (self.gain * current), math.sqrt(self.power * self.coldest))
-        return max(0.0, (highest - ASTRAY_V) / (1.0 + ASTRAY))
+        highest = max(self.power / (self.current_gain * current), math.sqrt(self.power * self.lowest_resistance))
+        return max(0.0, (highest - VOLTAGE_ERROR_V) / (1.0 + VOLTAGE_ERROR_SHARE))
 
 
 @lru_cache(maxsize=16)
-def endured(box: Box, limit: float, ambient: float) -> Endured:
+def endurance(box: Box, limit: float, ambient: float) -> Endurance:
     """Return what two leads endure for ever; limit of the hottest phase and ambient in degC."""
     current = at_limit(box, limit, ambient, settled(ambient, LED_LOOSE, 0.0)) / LEADS**0.5
     bound = _settled_bound(box, ambient, current)
-    ceiling = tuple(float(node) for node in bound.state.min(axis=1))
-    return Endured(current, _power(box, bound, current), box.current_gain, _coldest(box, ambient), ceiling)
+    return Endurance(
+        current=current,
+        power=_power(box, bound, current),
+        current_gain=box.current_gain,
+        lowest_resistance=_lowest_resistance(box, ambient),
+        start_ceilings=tuple(float(node) for node in bound.state.min(axis=1)),
+    )
 
 
 @lru_cache(maxsize=64)
-def reached(box: Box, ambient: float, voltage: float, current: float) -> float:
+def temperature_reached(box: Box, ambient: float, voltage: float, current: float) -> float:
     """Bound the temperature at which the hottest phase settles [degC] with these levels [V, A]; ambient in degC."""
     from scipy.optimize import brentq
 
-    power = _heat(voltage, box.current_gain * current, _coldest(box, ambient))
+    power = _heat(voltage, box.current_gain * current, _lowest_resistance(box, ambient))
 
-    def over(amperes: float) -> float:
+    def excess_power(amperes: float) -> float:
         return _power(box, _settled_bound(box, ambient, amperes), amperes) - power
 
-    flowing = float(brentq(over, 0.0, current, xtol=1e-3)) if over(current) > 0.0 else current
+    flowing = float(brentq(excess_power, 0.0, current, xtol=1e-3)) if excess_power(current) > 0.0 else current
     return float(_settled_bound(box, ambient, flowing).hottest()[0])
 
 
@@ -93,24 +101,24 @@ def trip_level(
     """
     cold, rise = box.phase_resistance, box.resistance_coefficient
     resistance = LEADS * cold.low * (1.0 + rise.low * (limit - 0.5 * uneven - box.reference_temperature))
-    highest = min(resistance * current / box.current_gain, voltage * (1.0 - ASTRAY) - ASTRAY_V)
+    highest = min(resistance * current / box.current_gain, voltage * (1.0 - VOLTAGE_ERROR_SHARE) - VOLTAGE_ERROR_V)
     level = accuracy.level_below(highest)
     begins = 0.5 * LEADS * (cold.low + cold.high) * current  # a level below this would end the current at once
     return level if level > begins else None
 
 
-def _heat(voltage: float, most: float, coldest: float) -> float:
+def _heat(voltage: float, highest_current: float, lowest_resistance: float) -> float:
     """Bound the power of a supply [W] by its set voltage [V], highest current [A] and lowest resistance [ohm]."""
-    highest = _highest(voltage)
-    return highest * min(most, highest / coldest)
+    highest_voltage = _highest_output(voltage)
+    return highest_voltage * min(highest_current, highest_voltage / lowest_resistance)
 
 
-def _highest(voltage: float) -> float:
+def _highest_output(voltage: float) -> float:
     """Return the highest output of a supply that is set to a voltage [V]."""
-    return voltage * (1.0 + ASTRAY) + ASTRAY_V
+    return voltage * (1.0 + VOLTAGE_ERROR_SHARE) + VOLTAGE_ERROR_V
 
 
-def _coldest(box: Box, ambient: float) -> float:
+def _lowest_resistance(box: Box, ambient: float) -> float:
     """Return the lowest resistance between two leads [ohm], at the coldest air."""
     below = ambient - box.ambient_rise - box.reference_temperature
     rise = box.resistance_coefficient
