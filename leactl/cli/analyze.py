@@ -16,7 +16,12 @@ def analyze(
     runs: list[Path] = typer.Argument(
         metavar="RUN...", help="Run files or folders; repeats are combined, experiments kept apart."
     ),
-    as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
+    as_json: bool = typer.Option(
+        False,
+        "--json",
+        help="Print JSON on stdout: the analysis itself if it is the only one, else an object with `analyses` and"
+        " `faults`.",
+    ),
     experiment: str = typer.Option(
         "", "--as", metavar="NAME", help="Analyse as this experiment, such as channels, which takes every protocol."
     ),
@@ -30,16 +35,19 @@ def analyze(
         callback=finite,
     ),
     torque_constant_std: float | None = typer.Option(
-        None, metavar="N*m/A", help="Its standard uncertainty, to be part of those of the results.", callback=finite
+        None,
+        metavar="N*m/A",
+        help="Standard uncertainty of --torque-constant, which adds to the results' own.",
+        callback=finite,
     ),
     processes: int = typer.Option(
         1, "--processes", min=1, help="How many runs to read at a time; the answer is the same."
     ),
     scheduler: str = typer.Option(
-        "", "--scheduler", metavar="ADDRESS", help="Let the workers of this Dask scheduler do it."
+        "", "--scheduler", metavar="ADDRESS", help="Read and analyse on the workers of this Dask scheduler."
     ),
     settings: list[str] = typer.Option(
-        [], "--set", metavar="NAME=NUMBER", help="What an analysis may be told, such as camera_gain_std=0.01."
+        [], "--set", metavar="NAME=NUMBER", help="Set a numeric option of the analysis, such as camera_gain_std=0.01."
     ),
 ) -> None:
     """Fit the parameters that runs were made for, with 95 % intervals, by actuator and condition."""

@@ -52,7 +52,7 @@ def report(
         [], COMPARED, metavar="RUN...", help="Other runs or folders, to stand beside the first."
     ),
     settings: list[str] = typer.Option(
-        [], "--set", metavar="NAME=NUMBER", help="What an analysis may be told, such as torque_constant=0.5."
+        [], "--set", metavar="NAME=NUMBER", help="Set a numeric option of the analysis, such as torque_constant=0.5."
     ),
     as_json: bool = typer.Option(False, "--json", help="Print the table as JSON on stdout."),
 ) -> None:
