@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from leactl.errors import InputError
-from leactl.tables.number_format import SPACES, Character, NumberFormat, TableFormat
+from leactl.tables.number_format import PLAIN_CHARACTERS, Character, NumberFormat, TableFormat
 from leactl.tables.text_table import MOST_FAULTS, cell_location, open_text, rows_of, strip_cells, width_fault
 
 Array = npt.NDArray[np.float64]
@@ -154,7 +154,7 @@ class Columns:
         only_python_reads_it = "_" in cell or (self._decimal == "," and "." in cell)
         with suppress(ValueError):
             if self._format.thousands:
-                value = self._format.value(cell.translate(SPACES))
+                value = self._format.value(cell.translate(PLAIN_CHARACTERS))
             elif not only_python_reads_it:
                 return float(cell if self._decimal == "." else cell.replace(self._decimal, "."))
         value = self.words.get(cell.lower()) if value is None else value

@@ -17,7 +17,8 @@ from leactl.errors import InputError
 from leactl.yamlblock import Block
 
 Array = npt.NDArray[np.float64]
-SPACES = str.maketrans({"\u00a0": " ", "\u202f": " ", "\u2009": " ", "\u2212": "-", "\u2019": "'"})
+# of cells, before they are read: special spaces, the minus sign and the apostrophe become their ASCII characters
+PLAIN_CHARACTERS = str.maketrans({"\u00a0": " ", "\u202f": " ", "\u2009": " ", "\u2212": "-", "\u2019": "'"})
 CELL = re.compile(
     r"(?P<outside>[<>]=?\s*)?"
     r"(?P<number>[+-]?(?:[0-9][0-9.,' ]*|[.,][0-9]+)(?:[eE][+-]?[0-9]+)?)\s*"
@@ -30,7 +31,7 @@ Character = Annotated[str, StringConstraints(strict=True, min_length=1, max_leng
 
 
 class TableFormat(Block):
-    """How a text table is written; what is None is detected."""
+    """Settings of a text table: any encoding and delimiter; a setting that is None is detected."""
 
     encoding: str | None = None
     delimiter: Character | None = None
@@ -54,8 +55,8 @@ class TableFormat(Block):
         return self
 
 
-class DetectedFormat(TableFormat):
-    """How a text table is written; a setting that is None is detected, and an ambiguous file is refused."""
+class DetectableFormat(TableFormat):
+    """Settings of a text table of a record, limited to the encodings and delimiters that detection can find."""
 
     encoding: (
         Literal["utf-8", "utf-16", "utf-16-le", "utf-16-be", "cp1252", "gbk", "gb18030", "cp949", "shift_jis"] | None
@@ -63,7 +64,7 @@ class DetectedFormat(TableFormat):
     delimiter: Literal[",", ";", "\t", "|"] | None = None
 
     @model_validator(mode="after")
-    def _marks_differ(self) -> "DetectedFormat":
+    def _marks_differ(self) -> "DetectableFormat":
         """A comma may be both: some programs write `25,3` as two cells of a comma-separated line."""
         if self.decimal is not None and self.decimal == self.thousands:
             raise ValueError(f"decimal {self.decimal!r} is the thousands mark as well")
@@ -115,7 +116,7 @@ class Numbers(NamedTuple):
 
 def split_cell(text: str, missing: frozenset[str]) -> NumberCell | None:
     """Split a cell into its parts; return None if it is neither a number nor one of the marks for a missing sample."""
-    plain = text.translate(SPACES).strip()
+    plain = text.translate(PLAIN_CHARACTERS).strip()
     if plain in missing:
         return NumberCell("")
     match = CELL.fullmatch(plain)
@@ -142,7 +143,7 @@ def read_numbers(
     ------
     InputError : a cell is no number, no format reads all cells, or several formats give different values.
     """
-    missing = frozenset(mark.translate(SPACES).strip() for mark in form.missing)
+    missing = frozenset(mark.translate(PLAIN_CHARACTERS).strip() for mark in form.missing)
     cells_by_text: dict[str, dict[str, NumberCell]] = {}
     faults: list[str] = []
     for heading, cells in columns.items():

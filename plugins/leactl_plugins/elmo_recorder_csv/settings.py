@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, StringConstraints, model_validator
 
 from leactl.driver.file_records import RecordSettings
-from leactl.tables.number_format import DetectedFormat
+from leactl.tables.number_format import DetectableFormat
 from leactl.units import converter
 from leactl_plugins.elmo.scales import CurrentConvention
 
@@ -52,7 +52,7 @@ class RecordedSignal(BaseModel):
         return units in self.counted or converter(units, self.quantity) is not None
 
 
-class ElmoRecorderCsvSettings(DetectedFormat, RecordSettings):
+class ElmoRecorderCsvSettings(DetectableFormat, RecordSettings):
     """The recordings of one drive."""
 
     signals: Annotated[dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], RecordedSignal], Field(min_length=1)]

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_vali
 
 from leactl.driver.contract import MeasurableRange
 from leactl.driver.file_records import RecordSettings
-from leactl.tables.number_format import DetectedFormat
+from leactl.tables.number_format import DetectableFormat
 from leactl.units import known_units
 
 STRICT = ConfigDict(frozen=True, extra="forbid")
@@ -74,7 +74,7 @@ class StampSettings(BaseModel):
         return value
 
 
-class ThermalCsvSettings(DetectedFormat, RecordSettings):
+class ThermalCsvSettings(DetectableFormat, RecordSettings):
     """One camera with the regions of its exports."""
 
     regions: Annotated[dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], CameraRegion], Field(min_length=1)]
