@@ -105,7 +105,7 @@ def plan(
         from leactl.runner.checked_bench import load_checked
         from leactl.runner.thermal_admission import Windings, standing
         from leactl.runner.unattended_supply import supplies_left_on
-        from leactl.safety.refusals import check_rate
+        from leactl.safety.plan_checks import check_rate
 
         file, devices, _document = load_checked(bench)
         if file.emulated is not None:

@@ -6,7 +6,7 @@ from leactl.driver.contract import Mode
 from leactl.errors import InputError
 from leactl.protocol.plan import ChannelBounds, Engage, InRange, Plan, Segment, SetSupply, Until, WaitUntil, When
 from leactl.runner.channel_limits import ChannelLimits
-from leactl.safety.refusals import check_setpoints
+from leactl.safety.plan_checks import check_setpoints
 from leactl.safety.witnesses import lone_sensors
 
 
@@ -20,8 +20,8 @@ def check_fit(plan: Plan, bench: Bench) -> None:
     check_setup(plan, bench.file)
     _check_roles(plan, bench)
     _check_needs(plan, bench)
-    _check_awaited(plan, bench)
-    limits_of(plan, bench)
+    _check_awaited_channels(plan, bench)
+    limits_of(plan, bench)  # raises if the bench measures no channel of a limit
 
 
 def check_setup(plan: Plan, file: BenchFile) -> None:
@@ -51,7 +51,8 @@ def unwitnessed(plan: Plan, bench: Bench) -> list[str]:
         elif isinstance(action, SetSupply):
             heated |= {role: "line_current" for role, output in action.outputs.items() if output is not None}
     channels = [channel for stream in bench.streams().values() for channel in stream]
-    return lone_sensors(bench.file.interlocks, channels, plan.setup, dict(sorted(heated.items(), reverse=True)))
+    test_first = dict(sorted(heated.items(), reverse=True))
+    return lone_sensors(bench.file.interlocks, channels, plan.setup, test_first)
 
 
 def _check_roles(plan: Plan, bench: Bench) -> None:
@@ -73,7 +74,7 @@ def _check_needs(plan: Plan, bench: Bench) -> None:
         )
 
 
-def _check_awaited(plan: Plan, bench: Bench) -> None:
+def _check_awaited_channels(plan: Plan, bench: Bench) -> None:
     """Refuse a plan with a wait, a criterion or a condition on a channel that no device measures."""
     measured = {(channel.quantity, channel.role) for channels in bench.streams().values() for channel in channels}
     readers: list[WaitUntil | Until | InRange] = [action for action in plan.actions if isinstance(action, WaitUntil)]

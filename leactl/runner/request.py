@@ -16,7 +16,7 @@ from leactl.runner.checked_bench import load_checked
 from leactl.runner.event_lines import EventLines
 from leactl.runner.latch import Latch
 from leactl.runner.thermal_admission import check_label
-from leactl.safety.refusals import check_rate
+from leactl.safety.plan_checks import check_rate
 from leactl.yamlfile import Document
 
 MOST_SEED = 2**63 - 1

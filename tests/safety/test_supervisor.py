@@ -10,7 +10,7 @@ from leactl.driver.contract import Confirmation, Mode, Row
 from leactl.errors import InputError, SafetyTrip
 from leactl.safety.interlocks import CurrentDisagreement, Interlocks
 from leactl.safety.limits import Limits
-from leactl.safety.refusals import check_setpoints
+from leactl.safety.plan_checks import check_setpoints
 from leactl.safety.supervisor import Axis, Supervisor
 from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Box
