@@ -1,4 +1,8 @@
-"""Results of a check of a bench as text: a line for each statement of the bench file, and a line on what to change."""
+"""Results of a check of a bench as text.
+
+Each statement of the bench file and each notice of a device has a line, and a second one if the bench file needs a
+change. The last line counts the verdicts.
+"""
 
 import math
 from collections.abc import Iterator, Sequence

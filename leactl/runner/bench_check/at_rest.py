@@ -11,7 +11,9 @@ from leactl.runner.bench_check.statement import Statement, StatementVerdict
 from leactl.runner.request import Request
 
 SINGLE_IN_ROLE = ("torque", "velocity", "angle", "q_axis_current")  # analyses take one channel of a role
-MOST_STUCK_SPANS = 1.5  # a `stuck_s` up to this multiple of the readings' span says that noise shows within them
+# A constant channel counts as frozen if its `stuck_s` is at most this multiple of the time that was read: 0.8 s of
+# readings judge a `stuck_s` of 1 s.
+STUCK_SPANS = 1.5
 
 
 def opening_statements(failures: Mapping[str, str]) -> list[Statement]:
@@ -56,9 +58,12 @@ def _identities(request: Request, reported: Mapping[str, Mapping[str, str]]) -> 
                     else (StatementVerdict.WRONG, f"the bench file says {stated[key]}")
                 )
             elif key in stated:
-                verdict, why = StatementVerdict.OPEN, f"the bench file says {stated[key]}, the device reports none"
+                verdict, why = StatementVerdict.UNDECIDED, f"the bench file says {stated[key]}, the device reports none"
             elif key in identity and key == "serial":
-                verdict, why = StatementVerdict.OPEN, "the bench file states none: another device would not be noticed"
+                verdict, why = (
+                    StatementVerdict.UNDECIDED,
+                    "the bench file states none: another device would not be noticed",
+                )
             else:
                 continue
             text = "; ".join(filter(None, (identity.get(key, ""), why)))
@@ -72,7 +77,7 @@ def _notices(run: Run, request: Request) -> Iterator[Statement]:
     names = {device.name for device in request.devices}
     for event in run.events:
         if event.source in names and event.level in ("warning", "error") and not event.message.startswith("firmware "):
-            yield Statement(event.source, "notice", StatementVerdict.OPEN, why=event.message)
+            yield Statement(event.source, "notice", StatementVerdict.UNDECIDED, why=event.message)
 
 
 def _channels(run: Run, request: Request) -> Iterator[Statement]:
@@ -119,16 +124,19 @@ def _channel(channel: Channel, request: Request) -> Statement:
         verdict, why = StatementVerdict.WRONG, "exactly 0, which it never is: is it connected?"
     elif constant and quantity in AT_REST:
         verdict, why = (
-            StatementVerdict.OPEN,
-            "stands, as a shaft at rest and the current of a drive that is off do: a move tells",
+            StatementVerdict.UNDECIDED,
+            "constant, as expected at rest; `leactl bench check --move` tests it",
         )
-    elif constant and shortest_stuck_s <= MOST_STUCK_SPANS * span:
+    elif constant and shortest_stuck_s <= STUCK_SPANS * span:
         verdict, why = (
             StatementVerdict.WRONG,
             f"frozen: the same in {len(values)} readings, and stuck_s says that its noise shows",
         )
     elif constant:
-        verdict, why = StatementVerdict.OPEN, f"the same in {len(values)} readings: frozen, or coarser than its noise"
+        verdict, why = (
+            StatementVerdict.UNDECIDED,
+            f"the same in {len(values)} readings: frozen, or coarser than its noise",
+        )
     elif missing_share > MISSING:
-        verdict, why = StatementVerdict.OPEN, f"{missing_share:.1%} of its readings are missing"
+        verdict, why = StatementVerdict.UNDECIDED, f"{missing_share:.1%} of its readings are missing"
     return Statement(channel.device, about, verdict, mean, std, channel.units, float(low), float(high), why)

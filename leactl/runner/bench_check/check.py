@@ -27,7 +27,7 @@ from leactl.safety.thermal.box import Box
 
 READ_S = 0.8  # less than `stuck_s: 1`, so that a dead channel is reported before it trips the bench
 STEP_S = 1e-3  # of the integration of a move: a hundredth of the time constants of actuators, or less
-LEAST_SHARE, MOST_SHARE = 0.03, 0.2  # of the continuous current
+LEAST_CURRENT_SHARE, MOST_CURRENT_SHARE = 0.03, 0.2  # of the continuous current
 FRICTION_MULTIPLE = 2.0  # of the current that overcomes the friction of the motor files
 MOST_SPEED_SHARE = 0.5  # of the velocity limit; a current is halved until the shaft stays below this speed
 
@@ -120,8 +120,8 @@ def request_turning(
 
     Parameters
     ----------
-    current : of each drive [A]; None: twice the current that overcomes the friction of the motor files, but at least
-        3 % and at most 20 % of the continuous current.
+    current : of each drive [A]; None: `FRICTION_MULTIPLE` times the current that overcomes the friction of the motor
+        files, within `LEAST_CURRENT_SHARE` and `MOST_CURRENT_SHARE` of the continuous current.
 
     Raises
     ------
@@ -200,7 +200,9 @@ def _move(file: BenchFile, roles: Sequence[str], chosen: float | None, setup: st
         motor, turned = motors[role], list(motors.values()) if setup == "coupled" else [motors[role]]
         friction = sum(Box.of(turned_motor).coulomb_friction.high for turned_motor in turned) / motor.torque_constant
         rated = motor.continuous_current or limits.current_A
-        current = chosen or min(max(FRICTION_MULTIPLE * friction, LEAST_SHARE * rated), MOST_SHARE * rated)
+        current = chosen or min(
+            max(FRICTION_MULTIPLE * friction, LEAST_CURRENT_SHARE * rated), MOST_CURRENT_SHARE * rated
+        )
         while _swing(motor, turned, current)[0] > MOST_SPEED_SHARE * limits.velocity_rad_s and not chosen:
             current /= 2.0
         currents[role] = float(f"{current:.3g}")

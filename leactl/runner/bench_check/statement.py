@@ -9,7 +9,7 @@ from typing import Any
 from leactl.bench.benchfile import CheckedDevice
 from leactl.runner.request import Request
 
-SURE = 3.0  # standard errors; a deviation counts from this multiple on
+DEVIATION_STDS = 3.0  # standard errors by which a value has to differ to count as different
 
 
 class StatementVerdict(StrEnum):
@@ -17,7 +17,7 @@ class StatementVerdict(StrEnum):
 
     OK = "ok"
     WRONG = "wrong"
-    OPEN = "cannot tell"
+    UNDECIDED = "cannot tell"
 
 
 @dataclass(frozen=True)
@@ -51,10 +51,12 @@ def ratio(device: str, about: str, value: float, std: float, bound: float) -> St
     std : standard error of the ratio.
     bound : largest difference from 1 that a sound bench may show.
     """
-    margin = bound + SURE * std
+    margin = bound + DEVIATION_STDS * std
     sound = abs(value - 1.0) <= margin
     if not math.isfinite(margin) or (sound and margin > 2.0 * bound):
-        return Statement(device, about, StatementVerdict.OPEN, value, std, "1", why="the move tells too little of it")
+        return Statement(
+            device, about, StatementVerdict.UNDECIDED, value, std, "1", why="the move shows too little of it"
+        )
     return Statement(
         device,
         about,

@@ -18,7 +18,7 @@ from leactl.analysis.signals.levels import standard_error
 from leactl.gap.setup.conventions import UNITS, convention, whole
 from leactl.runfile.read.reader import Run
 from leactl.runner.bench_check.silence import silences
-from leactl.runner.bench_check.statement import SURE, Statement, StatementVerdict, ratio, setting
+from leactl.runner.bench_check.statement import DEVIATION_STDS, Statement, StatementVerdict, ratio, setting
 from leactl.runner.drill.emulated import drives
 from leactl.runner.request import Request
 from leactl.runner.thermal_admission import motors_of
@@ -96,13 +96,13 @@ def slopes(columns: Array, response: Array) -> list[Slope]:
 def of_size_one(slope: Slope) -> bool:
     """Return whether a ratio of two channels of motion may be 1 or -1."""
     size = abs(slope.value)
-    return abs(math.log(size)) < LAG_ERROR + SURE * slope.std / size
+    return abs(math.log(size)) < LAG_ERROR + DEVIATION_STDS * slope.std / size
 
 
 def factor_of_a_turn(slope: Slope, pole_pairs: int) -> str:
     """Return the probable cause of a factor between two angles or velocities, as text; empty if none is known."""
     size, turned = abs(slope.value), "turned" if slope.value < 0.0 else ""
-    error = SURE * slope.std / size
+    error = DEVIATION_STDS * slope.std / size
     if of_size_one(slope):
         return f"turned, by {size:.3g}" if turned and abs(math.log(size)) > LAG_ERROR else turned
     name, number = convention(size, error), whole(size, error)
@@ -151,7 +151,7 @@ class Turning:
             yield statement if fitted[0].value else replace(statement, why=no_current)
         else:
             why = self._silence_of(role, "q_axis_current", "drive_enabled") or ENDED_EARLY
-            yield Statement(name, "current over its demand", StatementVerdict.OPEN, why=why)
+            yield Statement(name, "current over its demand", StatementVerdict.UNDECIDED, why=why)
         yield self._direction(role)
         yield self._angle_over_velocity(role, *motion.travels())
 
@@ -167,10 +167,10 @@ class Turning:
         rate = np.gradient(motion.velocity, motion.time) if len(motion.time) > 1 else motion.velocity
         terms = np.column_stack([rate, motion.velocity, np.sign(motion.velocity)])[moving]
         fitted = slopes(terms, self._motors[role].torque_constant * motion.current[moving])
-        if not fitted or not abs(fitted[0].value) > SURE * fitted[0].std:
+        if not fitted or not abs(fitted[0].value) > DEVIATION_STDS * fitted[0].std:
             silent = self._silence_of(role, "velocity", "q_axis_current", "drive_enabled")
             why = silent or "the shaft has hardly turned: is it free, is --current enough?"
-            return Statement(name, about, StatementVerdict.OPEN, why=why)
+            return Statement(name, about, StatementVerdict.UNDECIDED, why=why)
         motors = self._motors.values() if self._request.plan.setup == "coupled" else [self._motors[role]]
         rotor_inertia = sum(motor.rotor_inertia for motor in motors)
         low, high, (value, std) = rotor_inertia / INERTIA_FACTOR, rotor_inertia * INERTIA_FACTOR, fitted[0]
@@ -181,7 +181,7 @@ class Turning:
                 "a current turns it backwards: commutation or encoder direction of the drive",
             )
         elif not low <= value <= high:
-            verdict = StatementVerdict.OPEN
+            verdict = StatementVerdict.UNDECIDED
             why = f"as if a turn had {rotor_inertia / value:.2g} times the counts, or as if more turned than the rotors"
             change = setting(self._request, self._drives[role], COUNT_SETTINGS, "does the encoder have as many?")
         return Statement(name, about, verdict, value, std, "kg*m^2", low, high, why, change)
@@ -202,15 +202,18 @@ class Turning:
         silent = self._silence_of(role, "velocity", "angle")
         reach = [float(np.ptp(np.cumsum(travel))) if len(travel) else 0.0 for travel in (velocity, angle)]
         if max(reach) < TURNED_RAD:
-            return Statement(device.name, about, StatementVerdict.OPEN, why=silent or "the shaft has not turned")
+            return Statement(device.name, about, StatementVerdict.UNDECIDED, why=silent or "the shaft has not turned")
         if not velocity.any() or not angle.any():
             frozen = "velocity" if reach[0] < reach[1] else "angle"
             return Statement(
-                device.name, about, StatementVerdict.WRONG, why=f"frozen: the {frozen} stands while the other moves"
+                device.name,
+                about,
+                StatementVerdict.WRONG,
+                why=f"frozen: the {frozen} is constant while the other moves",
             )
         fitted = slopes(velocity[:, np.newaxis], angle)
         if not fitted:
-            return Statement(device.name, about, StatementVerdict.OPEN, why=silent or ENDED_EARLY)
+            return Statement(device.name, about, StatementVerdict.UNDECIDED, why=silent or ENDED_EARLY)
         statement = ratio(device.name, about, *fitted[0], LAG_ERROR)
         if statement.verdict is not StatementVerdict.WRONG:
             return statement
@@ -230,7 +233,9 @@ class Turning:
         fitted = slopes(test[moving, np.newaxis], load[moving])
         if not fitted:
             silent = "; ".join(filter(None, (self._silence_of(role, "velocity") for role in ("test", "load"))))
-            return Statement(device.name, about, StatementVerdict.OPEN, why=silent or "the shaft has hardly turned")
+            return Statement(
+                device.name, about, StatementVerdict.UNDECIDED, why=silent or "the shaft has hardly turned"
+            )
         statement = ratio(device.name, about, *fitted[0], LAG_ERROR)
         if statement.verdict is not StatementVerdict.WRONG:
             return statement
@@ -291,7 +296,7 @@ class Turning:
                 one_drive = "it takes a shaft that either drive turns, in turn"
                 silent = [self._silence_of("test", "torque"), self._silence_of(role, "q_axis_current", "velocity")]
                 why = "; ".join(filter(None, silent)) or (one_drive if self._run.status == "complete" else ENDED_EARLY)
-                statements[role] = Statement(name, about, StatementVerdict.OPEN, why=why)
+                statements[role] = Statement(name, about, StatementVerdict.UNDECIDED, why=why)
         factors = {
             role: statement.measured
             for role, statement in statements.items()
@@ -309,7 +314,7 @@ class Turning:
         ----------
         by_sensor : whether both drives show the same factor.
         """
-        factor, margin = statement.measured, SURE * statement.std
+        factor, margin = statement.measured, DEVIATION_STDS * statement.std
         size = abs(factor)
         likely = conventions(size - margin - SAME_FACTOR / 4.0, size, size + margin + SAME_FACTOR / 4.0)
         why = f"{'or both currents are' if by_sensor else 'the current is'} near {likely}" if likely else ""
