@@ -289,7 +289,7 @@ def score_blind(
     answers: list[Path] = typer.Option([], "--answers", help="Folder of answers; by default CASES-answers."),
     processes: int = typer.Option(1, "--processes", min=1, help="How many cases are diagnosed at a time."),
     scheduler: str = typer.Option(
-        "", "--scheduler", metavar="ADDRESS", help="Let the workers of this Dask scheduler do it."
+        "", "--scheduler", metavar="ADDRESS", help="Work on the workers of this Dask scheduler."
     ),
     as_json: bool = AS_JSON,
 ) -> None:
@@ -298,8 +298,8 @@ def score_blind(
     from leactl.errors import InputError
     from leactl.gap.blind.check import Cases, check
     from leactl.gap.blind.score import score
-    from leactl.report.blind import markdown
-    from leactl.report.blind import score_json as document
+    from leactl.report.blind_score import markdown
+    from leactl.report.blind_score import score_json as document
     from leactl.report.progress_line import ProgressLine
     from leactl.runfile.publish import new_file, refuse_existing
     from leactl.scheduler import workers_of

@@ -4,9 +4,12 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from leactl.gap.blind.score import Calibration, Group, Score, Share
+from leactl.gap.blind.score import MEDIAN_WITHIN, MOST_WITHIN, Calibration, Group, Score, Share
 
 FORMAT, VERSION = "leactl-gap-score", 1
+# targets of the figures that are no shares
+MOST_MEAN_SET_SIZE = 1.5
+MOST_CALIBRATION_ERROR, LEAST_BRIER_SKILL = 0.04, 0.8
 HOW_TO_READ = """\
 Each case is an emulated bench or a drawn machine. Its parameters differ from those of its nominal model, and it has no
 effect, one, two, or one that the library lacks. Of each kind of run, the last is held out. All answers were written
@@ -63,24 +66,24 @@ def share_json(share: Share) -> dict[str, Any]:
 def markdown(score: Score, command: str) -> str:
     """Return the score as a page of Markdown that begins with the command that made it."""
     lines = ["# The check on withheld causes", "", "```", command, "```", "", f"{score.cases} cases.", "", HOW_TO_READ]
-    lines += ["| question | target | found | count | 95 % interval |", "|---|---|---|---|---|"]
+    lines += ["| question | target | result | count | 95 % interval |", "|---|---|---|---|---|"]
     lines += [share_row(share) for share in score.shares]
     if score.set_size is not None:
-        lines.append(f"| one effect: mean size of the reported set | <= 1.5 | {score.set_size:.2f} | | |")
+        set_size_target = f"<= {MOST_MEAN_SET_SIZE:g}"
+        lines.append(f"| one effect: mean size of the reported set | {set_size_target} | {score.set_size:.2f} | | |")
     if score.behind_oracle is not None:
         median, quantile_90 = score.behind_oracle
-        lines.append(
-            f"| distance from the oracle: median / 90 % | 0.03 / 0.08 | {median:.3f} / {quantile_90:.3f} | | |"
-        )
+        distances = f"{MEDIAN_WITHIN:g} / {MOST_WITHIN:g} | {median:.3f} / {quantile_90:.3f}"
+        lines.append(f"| distance from the oracle: median / 90 % | {distances} | | |")
     for title, calibration in (("all cases", score.calibration), ("cases with a cause", score.calibration_of_named)):
         skill = "-" if calibration.skill is None else f"{calibration.skill:.3f}"
-        figures = f"{calibration.error:.3f} / {skill}"
-        lines.append(f"| probabilities, {title}: calibration error / Brier skill | 0.04 / 0.8 | {figures} | | |")
+        figures = f"{MOST_CALIBRATION_ERROR:g} / {LEAST_BRIER_SKILL:g} | {calibration.error:.3f} / {skill}"
+        lines.append(f"| probabilities, {title}: calibration error / Brier skill | {figures} | | |")
     lines += ["", "## Probability of the first cause", ""]
     lines += ["An answer without a cause counts with probability 0: nothing that it names acts.", ""]
     lines += reliability_table(score.calibration)
     lines += ["", "## Calibrated parameters within 2 standard errors", ""]
-    lines += ["| parameter | target | found | count | 95 % interval |", "|---|---|---|---|---|"]
+    lines += ["| parameter | target | result | count | 95 % interval |", "|---|---|---|---|---|"]
     lines += [share_row(share) for share in score.parameters]
     for dimension in dict.fromkeys(group.by for group in score.groups):
         lines += [
