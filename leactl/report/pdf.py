@@ -23,7 +23,7 @@ FLAGS = (
     "--disable-dev-shm-usage",
     "--no-pdf-header-footer",
 )
-LONGEST_S = 120.0  # of printing
+PRINT_TIMEOUT_S = 120.0
 
 
 def examine() -> HostFinding:
@@ -62,7 +62,7 @@ def print_pdf(html: Path, out: Path) -> None:
     Raises
     ------
     InputError : no browser is installed.
-    DeviceError : the browser failed, or took longer than LONGEST_S.
+    DeviceError : the browser failed, or took longer than PRINT_TIMEOUT_S.
     """
     command = [browser(), *FLAGS]
     # Chromium does not start in its sandbox as root; the page is from this program and has no script
@@ -72,9 +72,9 @@ def print_pdf(html: Path, out: Path) -> None:
         # Chromium may end with status 0 without a file, so that the file is checked
         command += [f"--user-data-dir={profile}", f"--print-to-pdf={path}", html.resolve().as_uri()]
         try:
-            process = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST_S, check=False)
+            completed = subprocess.run(command, capture_output=True, text=True, timeout=PRINT_TIMEOUT_S, check=False)
         except subprocess.TimeoutExpired:
-            raise DeviceError(f"{out}: {command[0]} did not print within {LONGEST_S:g} s") from None
-        if process.returncode or not path.exists():
-            last_line = (process.stderr.strip().splitlines() or ["no word"])[-1]
+            raise DeviceError(f"{out}: {command[0]} did not print within {PRINT_TIMEOUT_S:g} s") from None
+        if completed.returncode or not path.exists():
+            last_line = (completed.stderr.strip().splitlines() or ["no message"])[-1]
             raise DeviceError(f"{out}: {command[0]} did not print: {last_line}")
