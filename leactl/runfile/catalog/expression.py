@@ -63,7 +63,7 @@ def read_expression(text: str, parameters: Collection[str]) -> Test:
     ------
     InputError : the expression cannot be parsed, or has a name that no run has; in one line.
     """
-    return _Reader(text, parameters).read()
+    return _Parser(text, parameters).parse()
 
 
 def span_of(text: str) -> tuple[datetime, datetime]:
@@ -96,13 +96,19 @@ def _utc(moment: datetime) -> datetime:
     return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
 
 
-class _Reader:
+class _Parser:
     """Parser of one expression: turns its nodes into tests of runs."""
 
     def __init__(self, text: str, parameters: Collection[str]) -> None:
         self._text, self._parameters = text, parameters
 
-    def read(self) -> Test:
+    def parse(self) -> Test:
+        """Return the test of runs that the expression stands for.
+
+        Raises
+        ------
+        InputError : as `read_expression`.
+        """
         if len(self._text) > MOST_CHARACTERS:
             raise InputError(f"--where: {len(self._text)} characters; at most {MOST_CHARACTERS} were expected")
         try:
@@ -132,10 +138,11 @@ class _Reader:
                 tests = [self._comparison(*part) for part in zip(sides, operators, rights, strict=False)]
                 return tests[0] if len(tests) == 1 else lambda run: all(test(run) for test in tests)
             case ast.Call(ast.Name("like"), [name, ast.Constant(str(pattern))], []):
-                return self._like(self._operand(name), pattern, node)
+                return self._pattern_test(self._operand(name), pattern, node)
         raise self._fault(f"{self._source(node)} stands where one of {ALLOWED} was expected")
 
     def _comparison(self, left_node: ast.expr, relation: ast.cmpop, right_node: ast.expr) -> Test:
+        """Return the test of one comparison of two operands, at least one of which is a name."""
         left_value, right_value = self._operand(left_node), self._operand(right_node)
         if not isinstance(left_value, NamedValue) and not isinstance(right_value, NamedValue):
             raise self._fault(
@@ -143,7 +150,7 @@ class _Reader:
             )
         match relation:
             case ast.Is() | ast.IsNot():
-                return self._missing(left_value, right_value, isinstance(relation, ast.Is), right_node)
+                return self._none_test(left_value, right_value, isinstance(relation, ast.Is), right_node)
             case ast.In() | ast.NotIn():
                 test = self._membership(left_value, right_value, right_node)
                 if isinstance(relation, ast.In):
@@ -199,16 +206,19 @@ class _Reader:
             value = container.of
             return lambda run: _contains(member, value(run))
         raise self._fault(
-            f"{self._source(node)} follows in; a list such as ('a', 'b'), or the name of a text or a list was expected"
+            f"{self._source(node)} stands after in, where a list such as ('a', 'b'), or the name of a text or of a list"
+            " was expected"
         )
 
-    def _missing(self, left_value: Any, right_value: Any, wanted: bool, node: ast.expr) -> Test:
+    def _none_test(self, left_value: Any, right_value: Any, wanted: bool, node: ast.expr) -> Test:
+        """Return the test of `is None` (`wanted`) or of `is not None`."""
         if not isinstance(left_value, NamedValue) or right_value is not None:
-            raise self._fault(f"{self._source(node)} follows is; None was expected, and == elsewhere")
+            raise self._fault(f"is {self._source(node)}: NAME is None was expected; other values are compared by ==")
         value = left_value.of
         return lambda run: (value(run) is None) == wanted
 
-    def _like(self, name: Any, pattern: str, node: ast.expr) -> Test:
+    def _pattern_test(self, name: Any, pattern: str, node: ast.expr) -> Test:
+        """Return the test of `like`: whether the text, or any of the texts, of a run matches a shell pattern."""
         if not isinstance(name, NamedValue) or name.kind in (NUMBER, MOMENT):
             raise self._fault(f"{self._source(node)}: the name of a text or of a list was expected first")
         matches, value = re.compile(translate(pattern)).match, name.of
@@ -255,6 +265,7 @@ class _Reader:
         )
 
     def _hint(self, name: str, known: Collection[str]) -> str:
+        """Return the known name that is closest to a wrong one, or else all known names, as the end of a message."""
         if close := get_close_matches(name, known, n=1):
             return f"; did you mean {close[0]!r}"
         names = sorted(known)
@@ -262,6 +273,7 @@ class _Reader:
         return f"; known: {', '.join(names[:MOST_NAMES_SHOWN]) or 'none'}{more}"
 
     def _refuse_kind(self, name: NamedValue, constant: Any, node: ast.expr) -> None:
+        """Refuse a comparison with a constant of another kind than the name's values."""
         expected = {TEXT: str, NUMBER: (int, float), TEXTS: list}.get(name.kind, object)
         if constant is None:
             raise self._fault(f"{name.text} is compared with None; is None was expected")
@@ -270,9 +282,11 @@ class _Reader:
             raise self._fault(f"{name.text} is {name.kind}; {self._source(node)} is none{member}")
 
     def _source(self, node: ast.expr) -> str:
+        """Return the text of a node in the expression, shortened for a message."""
         return _shortened(ast.get_source_segment(self._text.strip(), node) or "it")
 
     def _fault(self, why: str) -> InputError:
+        """Return the error that the expression is refused with."""
         return InputError(f"--where {_shortened(self._text)}: {why}")
 
 
