@@ -53,11 +53,11 @@ def export(run_path: Path, fmt: str, out: Path) -> list[Path]:
     return list(targets)
 
 
-Writer = Callable[[Path], None]
+Writer = Callable[[Path], None]  # writes a file at a path that does not exist yet
 
 
 def csv_writers(run: Run) -> dict[str, Writer]:
-    """Return one CSV per stream."""
+    """Return a writer of a CSV file for each stream, by the file name's suffix."""
 
     def write(stream: str, target: Path) -> None:
         with target.open("x", encoding="utf-8", newline="") as file:
@@ -81,7 +81,7 @@ def numerals(column: np.ndarray[Any, Any]) -> Iterator[str]:
 
 
 def parquet_writers(run: Run) -> dict[str, Writer]:
-    """Return one Parquet file per stream, with units and the run's attributes as metadata."""
+    """Return a writer of a Parquet file for each stream, with units and the run's attributes as metadata."""
     arrow, parquet = modules()
 
     def write(stream: str, target: Path) -> None:
@@ -100,7 +100,7 @@ def parquet_writers(run: Run) -> dict[str, Writer]:
 
 
 def mat_writers(run: Run) -> dict[str, Writer]:
-    """Return one MATLAB file: a struct for each group, `streams.<stream>.<channel>` for channels."""
+    """Return the writer of a MATLAB file: a struct for each group, `streams.<stream>.<channel>` for channels."""
     from scipy.io import savemat
 
     def write(target: Path) -> None:
