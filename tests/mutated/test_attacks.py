@@ -193,7 +193,7 @@ def test_a_mat_file_of_version_5_unpacks_no_further_than_it_may(tmp_path, monkey
 
 
 def test_chunks_that_give_what_they_announce_pass(base, path, monkeypatch):
-    monkeypatch.setattr(tree, "MOST_UNSEEN", 0)
+    monkeypatch.setattr(tree, "MOST_UNCHECKED_BYTES", 0)
     shutil.copy(base, path)
     file, _ = open_run_file(path)
     file.close()

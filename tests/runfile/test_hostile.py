@@ -11,7 +11,7 @@ from leactl.errors import InputError
 from leactl.runfile import layout
 from leactl.runfile.catalog.run_index import list_runs
 from leactl.runfile.hdf5 import opening, tree, value_types
-from leactl.runfile.hdf5.chunks import DEFLATE_AT_MOST, chunks, unpacked
+from leactl.runfile.hdf5.chunks import MOST_DEFLATE_RATIO, chunks, unpacked
 from leactl.runfile.hdf5.swmr import (
     CHECKSUM_AT,
     FLAGS_AT,
@@ -21,7 +21,7 @@ from leactl.runfile.hdf5.swmr import (
     as_closed,
     checksum,
 )
-from leactl.runfile.hdf5.text_heaps import HEAD, MOST_BYTES, longest_text
+from leactl.runfile.hdf5.text_heaps import HEAD, LONGEST_TEXT_BYTES, longest_text
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import altered, recover, verify
 from leactl.runfile.write.writer import RunWriter
@@ -175,16 +175,16 @@ def test_the_manual_has_the_numbers_of_the_door():
     said = " ".join(text.partition("## What a reader refuses")[2].partition("\n## ")[0].split())
     times, beside = tree.MOST_UNPACKED
     for words in (
-        f"groups deeper than {tree.DEEPEST} in one another or more than {tree.MOST_OBJECTS:,} objects",
-        f"a name of more than {tree.LONGEST_NAME:,} bytes or {tree.MOST_PATHS >> 20} MiB of paths",
-        f"more than {tree.MOST_NAMES:,} attributes, {tree.MOST_ATTRIBUTES >> 20} MiB of them on one object",
-        f"or {tree.MOST_ATTRIBUTES_OF_FILE >> 20} MiB on all",
+        f"groups deeper than {tree.MOST_LEVELS} in one another or more than {tree.MOST_OBJECTS:,} objects",
+        f"a name of more than {tree.LONGEST_NAME:,} bytes or {tree.MOST_PATH_BYTES >> 20} MiB of paths",
+        f"more than {tree.MOST_ATTRIBUTES:,} attributes, {tree.MOST_ATTRIBUTE_BYTES >> 20} MiB of them on one object",
+        f"or {tree.MOST_ATTRIBUTE_BYTES_OF_FILE >> 20} MiB on all",
         f"enumerations of more than {value_types.MOST_MEMBERS} members",
-        f"a text of more than {MOST_BYTES >> 20} MiB, texts of more than {tree.MOST_TEXT >> 20} MiB",
+        f"a text of more than {LONGEST_TEXT_BYTES >> 20} MiB, texts of more than {tree.MOST_TEXT_BYTES >> 20} MiB",
         f"more than {tree.MOST_TEXTS:,} of them, and more than {tree.MOST_ROWS_OF_TABLE:,} rows",
         f"chunks above {tree.LARGEST_CHUNK >> 20} MiB",
-        f"more than {tree.MOST_UNWRITTEN >> 20} MiB of values that were announced and never written",
-        f"deflate packs {DEFLATE_AT_MOST} bytes into one",
+        f"more than {tree.MOST_UNWRITTEN_BYTES >> 20} MiB of values that were announced and never written",
+        f"deflate packs {MOST_DEFLATE_RATIO} bytes into one",
         f"more than {times} times the size of the file and {beside >> 20} MiB beside",
     ):
         assert words in said, words
@@ -297,7 +297,7 @@ def test_a_recording_that_grows_while_it_is_opened_is_not_called_damaged(tmp_pat
 
 
 def test_a_channel_that_packs_well_is_no_bomb(tmp_path: Path):
-    rows = tree.MOST_UNWRITTEN // 8 + 1
+    rows = tree.MOST_UNWRITTEN_BYTES // 8 + 1
     with RunWriter(tmp_path, info(), STREAMS) as writer:
         writer.append("loop", np.arange(rows) * 1e-3, np.zeros((rows, 3)))
     assert verify(writer.path) == []

@@ -19,14 +19,14 @@ LINK_INFO, ATTRIBUTE_INFO = 0x02, 0x15
 SIZE_OF_LAST_NUMBER: Final = {LINK_INFO: 8, ATTRIBUTE_INFO: 2}  # bytes, where links or attributes are numbered
 INDEX_SETTINGS: Final = {3: 1, 4: 5, 5: 6}  # bytes of settings before the address, by the type of a chunk index
 CHUNKED: Final = 2  # class of a dataset's layout
-OF_GROUP, OF_CHUNKS = 0, 1  # types of trees
-NOWHERE: Final = (1 << 64) - 1
-FURTHEST: Final = 1 << 62  # largest byte offset to which the system can seek
+GROUP_NODE, CHUNK_NODE = 0, 1  # types of trees
+UNDEFINED_ADDRESS: Final = (1 << 64) - 1
+LARGEST_OFFSET: Final = 1 << 62  # largest byte offset to which the system can seek
 HEAP: Final = struct.Struct("<4s4xQQQ")  # signature, size of the names, first free block in them, their address
 NODE: Final = struct.Struct("<4sBBHQQ")  # signature, type, level, children, left and right sibling
 ADDRESS: Final = struct.Struct("<Q")
 MOST_MESSAGES: Final = 1 << 19  # in all headers: 50 for each of 10,000 objects
-MOST_BYTES: Final = 1 << 26  # of all headers, which contain attributes and the smallest datasets
+MOST_HEADER_BYTES: Final = 1 << 26  # of all headers, which contain attributes and the smallest datasets
 MOST_NODES: Final = 1 << 17  # of one tree; HDF5 fills each with at least 32 chunks, four million in all
 
 
@@ -45,6 +45,19 @@ class Root(NamedTuple):
     key_size: int  # bytes before each child's address
 
 
+class DenseStorage(NamedTuple):
+    """Addresses of a heap of links or attributes, and of the trees of version 2 that index it."""
+
+    heap: int
+    name_index: int
+    order_index: int = UNDEFINED_ADDRESS  # by the order of creation
+
+    @property
+    def indices(self) -> list[int]:
+        """Addresses of the trees that exist."""
+        return [address for address in (self.name_index, self.order_index) if address != UNDEFINED_ADDRESS]
+
+
 class TreeNode(NamedTuple):
     """Header of a tree's node."""
 
@@ -59,9 +72,9 @@ class BTrees:
 
     def __init__(self, raw: BinaryIO, base: int) -> None:
         self._raw, self._base = raw, base
-        self._checked: set[int] = set()  # headers, since an object may have several names
-        self._met: set[int] = set()
-        self._messages_met = self._bytes_met = 0
+        self._checked_headers: set[int] = set()  # headers, since an object may have several names
+        self._visited_nodes: set[int] = set()
+        self._messages_read = self._header_bytes = 0
         self._newer = NewerBTrees(self._bytes)
 
     def check(self, header: int, hdf5_path: str) -> None:
@@ -71,17 +84,18 @@ class BTrees:
         ------
         InputError : HDF5 might never reach the end of a tree.
         """
-        if header in self._checked:
+        if header in self._checked_headers:
             return
-        self._checked.add(header)
+        self._checked_headers.add(header)
         for message in self._messages(header):
-            if (root := root_in(message)) is not None and root.address != NOWHERE:
+            if (root := v1_tree_root(message)) is not None and root.address != UNDEFINED_ADDRESS:
                 self._check_tree(root, hdf5_path)
             if message.kind == SYMBOL_TABLE and len(message.body) >= 16:
                 self._check_heap(ADDRESS.unpack_from(message.body, 8)[0], hdf5_path)
-            if (addresses := index_in(message)) and addresses[0] != NOWHERE:
-                self._newer.check_index(addresses[0], [at for at in addresses[1:] if at != NOWHERE], hdf5_path)
-            if (index := chunk_index_in(message)) is not None and index != NOWHERE:
+            dense = dense_storage_addresses(message)
+            if dense is not None and dense.heap != UNDEFINED_ADDRESS:
+                self._newer.check_index(dense.heap, dense.indices, hdf5_path)
+            if (index := chunk_index_address(message)) is not None and index != UNDEFINED_ADDRESS:
                 self._newer.check_chunks(index, hdf5_path)
 
     def _check_heap(self, heap: int, hdf5_path: str) -> None:
@@ -116,16 +130,18 @@ class BTrees:
             if (nodes := nodes + len(level_addresses)) > MOST_NODES:
                 raise InputError(f"{hdf5_path}: more than {MOST_NODES} nodes in its index; fewer were expected")
             positions = {address: position for position, address in enumerate(level_addresses)}
-            if len(positions) < len(level_addresses) or not self._met.isdisjoint(positions):
+            if len(positions) < len(level_addresses) or not self._visited_nodes.isdisjoint(positions):
                 raise damaged
-            self._met |= positions.keys()
+            self._visited_nodes |= positions.keys()
             next_addresses: list[int] = []
             for position, address in enumerate(level_addresses):
                 if (node := self._node(address, root.kind)) is None:
                     continue
                 level = node.level if level is None else level
-                left_position = -1 if node.left == NOWHERE else positions.get(node.left, position)
-                right_position = len(level_addresses) if node.right == NOWHERE else positions.get(node.right, position)
+                left_position = -1 if node.left == UNDEFINED_ADDRESS else positions.get(node.left, position)
+                right_position = (
+                    len(level_addresses) if node.right == UNDEFINED_ADDRESS else positions.get(node.right, position)
+                )
                 if node.level != level or not left_position < position < right_position:
                     raise damaged
                 if level and len(next_addresses) + node.children <= MOST_NODES:
@@ -151,7 +167,7 @@ class BTrees:
 
     def _bytes(self, address: int, count: int) -> bytes:
         """Read `count` bytes from an address; fewer if the file ends before."""
-        return bytes_at(self._raw, self._base + address, count) if address < FURTHEST else b""
+        return bytes_at(self._raw, self._base + address, count) if address < LARGEST_OFFSET else b""
 
     def _messages(self, header: int) -> Iterator[HeaderMessage]:
         """Yield the messages of an object header of version 1 or 2, including those of its continuation blocks.
@@ -177,10 +193,10 @@ class BTrees:
             signature = checksum = 0
         else:
             return
-        too_much = InputError(f"headers of more than {MOST_MESSAGES} entries or {MOST_BYTES} bytes")
+        too_much = InputError(f"headers of more than {MOST_MESSAGES} entries or {MOST_HEADER_BYTES} bytes")
         for position, length in blocks:  # the loop appends further blocks
-            self._bytes_met += length
-            if self._bytes_met > MOST_BYTES:
+            self._header_bytes += length
+            if self._header_bytes > MOST_HEADER_BYTES:
                 raise too_much
             block = self._bytes(position, length)
             begin = 0
@@ -192,17 +208,17 @@ class BTrees:
                 if kind == CONTINUATION and len(body) >= 16:
                     next_block, next_length = struct.unpack_from("<QQ", body)
                     blocks.append((next_block + signature, max(0, next_length - signature - checksum)))
-                self._messages_met += 1
-                if self._messages_met > MOST_MESSAGES:
+                self._messages_read += 1
+                if self._messages_read > MOST_MESSAGES:
                     raise too_much
                 yield HeaderMessage(kind, body)
 
 
-def root_in(message: HeaderMessage) -> Root | None:
+def v1_tree_root(message: HeaderMessage) -> Root | None:
     """Return the root of the tree of version 1 to which a message refers; None if it refers to none."""
     body = message.body
     if message.kind == SYMBOL_TABLE and len(body) >= 16:
-        return Root(OF_GROUP, ADDRESS.unpack_from(body)[0], 8)
+        return Root(GROUP_NODE, ADDRESS.unpack_from(body)[0], 8)
     if message.kind != LAYOUT or len(body) < 16:
         return None
     if body[0] == 3 and body[1] == CHUNKED:
@@ -212,24 +228,23 @@ def root_in(message: HeaderMessage) -> Root | None:
     else:
         return None
     # a key has a chunk's size, the mask of skipped filters, and its offset in each dimension and in the value
-    return Root(OF_CHUNKS, ADDRESS.unpack_from(body, at)[0], 8 + 8 * dimensions)
+    return Root(CHUNK_NODE, ADDRESS.unpack_from(body, at)[0], 8 + 8 * dimensions)
 
 
-def index_in(message: HeaderMessage) -> list[int]:
-    """Return the addresses of a heap of links or attributes and of the trees of version 2 that index it.
-
-    Empty if the message refers to no such heap.
-    """
+def dense_storage_addresses(message: HeaderMessage) -> DenseStorage | None:
+    """Return the heap and the indices of links or attributes to which a message refers; None if it refers to none."""
     body = message.body
     if message.kind not in SIZE_OF_LAST_NUMBER or len(body) < 2:
-        return []
+        return None
     begin = 2 + (SIZE_OF_LAST_NUMBER[message.kind] if body[1] & 1 else 0)
     count = 3 if body[1] & 2 else 2  # flag 2: there is also a tree by the order of creation
     end = begin + count * ADDRESS.size
-    return [address for (address,) in ADDRESS.iter_unpack(body[begin:end])] if end <= len(body) else []
+    if end > len(body):
+        return None
+    return DenseStorage(*(address for (address,) in ADDRESS.iter_unpack(body[begin:end])))
 
 
-def chunk_index_in(message: HeaderMessage) -> int | None:
+def chunk_index_address(message: HeaderMessage) -> int | None:
     """Return the address of the array or the tree of version 2 that indexes chunks; None if there is none."""
     body = message.body
     if message.kind != LAYOUT or len(body) < 5 or body[0] < 4 or body[1] != CHUNKED:

@@ -10,7 +10,7 @@ from typing import Any, Final
 import h5py
 import numpy as np
 
-DEFLATE_AT_MOST: Final = 1032  # largest compression ratio of deflate (zlib's technical details)
+MOST_DEFLATE_RATIO: Final = 1032  # largest compression ratio of deflate (zlib's technical details)
 CHECKSUM: Final = 4  # bytes of Fletcher's checksum, after the values
 DEFLATE_OVERHEAD: Final = 1 << 12  # bytes, besides a thousandth, that deflate may add to incompressible values
 

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 from leactl.errors import InputError
 from leactl.runfile.hdf5.swmr import checksum
 
-NOWHERE: Final = (1 << 64) - 1
+UNDEFINED_ADDRESS: Final = (1 << 64) - 1
 # signature, type, size of a node and of a record, depth, address of the root, records of the root and of the tree
 TREE: Final = struct.Struct("<4sxBIHH2xQHQ")
 # signature, size of an identifier and of the filters, largest object in a block, address of the tree of huge objects
@@ -32,13 +32,13 @@ HUGE_OBJECTS: Final = 1  # type of the tree of huge objects
 ARRAYS: Final = {b"FAHD": 8, b"EAHD": 44}  # offset of the number of elements in the header of a fixed, extensible array
 COUNT: Final = struct.Struct("<Q")
 MOST_CHUNKS: Final = 1 << 22  # elements of an array; HDF5 reads two million a second
-DEEPEST: Final = 16  # levels; each multiplies the records by 8 or more
+MOST_LEVELS: Final = 16  # levels; each multiplies the records by 8 or more
 MOST_NODES: Final = 1 << 17  # of all trees, including leaves
 MOST_RECORDS: Final = 1 << 17  # of the links or attributes of one object
 LARGEST_NODE: Final = 1 << 16  # bytes; HDF5 creates nodes of 512 and 2048
 LARGEST_OBJECT: Final = 1 << 13  # bytes in a heap's blocks; HDF5 stores objects above 4096 bytes outside
 LARGEST_HEAP_BLOCK: Final = 1 << 20  # bytes; HDF5 creates blocks of at most 65,536
-MOST_HUGE: Final = 1 << 24  # bytes of all huge attributes and links
+MOST_HUGE_BYTES: Final = 1 << 24  # bytes of all huge attributes and links
 
 
 class TreeHeader(NamedTuple):
@@ -68,8 +68,8 @@ class NewerBTrees:
 
     def __init__(self, read: Callable[[int, int], bytes]) -> None:
         self._read = read
-        self._met: set[int] = set()
-        self._nodes = self._huge_bytes = 0
+        self._visited_nodes: set[int] = set()
+        self._node_count = self._huge_bytes = 0
 
     def check_index(self, heap: int, trees: list[int], hdf5_path: str) -> None:
         """Check the trees that index a heap of links or attributes, and the size of its huge objects.
@@ -85,12 +85,14 @@ class NewerBTrees:
                 continue
             if RECORDS.get(tree.kind) != tree.record_size or identifier_size != (7 if tree.kind in (5, 6) else 8):
                 raise InputError(f"{hdf5_path}: damaged: the index of its members or attributes has other records")
-            levels = self._walked(tree, hdf5_path)
+            levels = self._node_levels(tree, hdf5_path)
             if huge_lengths:
                 outside_bytes = max(outside_bytes, self._huge_bytes_of(tree, levels, huge_lengths))
         self._huge_bytes += outside_bytes
-        if self._huge_bytes > MOST_HUGE:
-            raise InputError(f"{hdf5_path}: more than {MOST_HUGE} bytes of large links or attributes in this file")
+        if self._huge_bytes > MOST_HUGE_BYTES:
+            raise InputError(
+                f"{hdf5_path}: more than {MOST_HUGE_BYTES} bytes of large links or attributes in this file"
+            )
 
     def check_chunks(self, address: int, hdf5_path: str) -> None:
         """Check a tree or an array that indexes chunks; the number of its records may grow while it is read.
@@ -106,7 +108,7 @@ class NewerBTrees:
                 f"{hdf5_path}: {count} elements in the index of its chunks; at most {MOST_CHUNKS} were expected"
             )
         if (tree := self._header(address)) is not None:
-            self._walked(tree, hdf5_path)
+            self._node_levels(tree, hdf5_path)
 
     def _header(self, address: int) -> TreeHeader | None:
         """Return the header of a tree; None if it is absent or has a wrong checksum, which HDF5 itself reports."""
@@ -115,7 +117,7 @@ class NewerBTrees:
             return None
         return TreeHeader(*TREE.unpack_from(head)[1:])
 
-    def _walked(self, tree: TreeHeader, hdf5_path: str) -> list[list[Branch]]:
+    def _node_levels(self, tree: TreeHeader, hdf5_path: str) -> list[list[Branch]]:
         """Return the nodes of a tree, level by level from the root down, without reading the leaves.
 
         Raises
@@ -125,12 +127,12 @@ class NewerBTrees:
         is_counted = tree.kind in (HUGE_OBJECTS, *RECORDS)
         if is_counted and tree.records > MOST_RECORDS:
             raise InputError(f"{hdf5_path}: {tree.records} records in its index; at most {MOST_RECORDS} were expected")
-        if tree.depth > DEEPEST or not 0 < tree.record_size < tree.node_size <= LARGEST_NODE:
+        if tree.depth > MOST_LEVELS or not 0 < tree.record_size < tree.node_size <= LARGEST_NODE:
             text = f"{tree.depth} levels of nodes of {tree.node_size} bytes and records of {tree.record_size}"
             raise InputError(
-                f"{hdf5_path}: an index of {text}; at most {DEEPEST} of {LARGEST_NODE} bytes were expected"
+                f"{hdf5_path}: an index of {text}; at most {MOST_LEVELS} of {LARGEST_NODE} bytes were expected"
             )
-        if tree.root == NOWHERE:
+        if tree.root == UNDEFINED_ADDRESS:
             return []
         levels = [[Branch(tree.root, tree.root_records)]]
         for capacity, pointer_size, count_size in reversed(capacities(tree)):
@@ -151,13 +153,13 @@ class NewerBTrees:
         InputError : a node was reached before, has more records than `capacity`, or there are too many nodes.
         """
         addresses = {node.address for node in levels[-1]}
-        self._nodes += len(levels[-1])
-        if self._nodes > MOST_NODES:
+        self._node_count += len(levels[-1])
+        if self._node_count > MOST_NODES:
             raise InputError(f"{hdf5_path}: more than {MOST_NODES} nodes in its index; fewer were expected")
-        is_tree = len(addresses) == len(levels[-1]) and self._met.isdisjoint(addresses)
+        is_tree = len(addresses) == len(levels[-1]) and self._visited_nodes.isdisjoint(addresses)
         if not is_tree or any(node.records > capacity for node in levels[-1]):
             raise InputError(f"{hdf5_path}: damaged: the index of its members, attributes or chunks is no tree")
-        self._met |= addresses
+        self._visited_nodes |= addresses
 
     def _children(self, node: Branch, record_size: int, pointer_size: int, count_size: int) -> Iterator[Branch]:
         """Yield the children of a node; none if it is not an inner node, which HDF5 itself reports."""
@@ -193,12 +195,12 @@ class NewerBTrees:
         if has_valid_checksum(head) and (largest > LARGEST_OBJECT or block > LARGEST_HEAP_BLOCK):
             text = f"a heap for objects of {largest} bytes in blocks of {block}"
             raise InputError(f"{hdf5_path}: {text}; at most {LARGEST_OBJECT} and {LARGEST_HEAP_BLOCK} were expected")
-        if huge_tree == NOWHERE or (tree := self._header(huge_tree)) is None:
+        if huge_tree == UNDEFINED_ADDRESS or (tree := self._header(huge_tree)) is None:
             return identifier_size, {}
         if (tree.kind, tree.record_size) != (HUGE_OBJECTS, HUGE.size):
             raise InputError(f"{hdf5_path}: damaged: the index of its large links or attributes has other records")
         lengths: dict[int, int] = {}
-        for record in self._records(tree, self._walked(tree, hdf5_path)):
+        for record in self._records(tree, self._node_levels(tree, hdf5_path)):
             length, number = HUGE.unpack(record)
             lengths[number] = max(length, lengths.get(number, 0))
         return identifier_size, lengths

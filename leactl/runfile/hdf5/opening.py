@@ -16,8 +16,8 @@ from leactl.runfile import layout
 from leactl.runfile.hdf5.swmr import FLAGS_AT, OPEN_FOR_WRITE, SIGNATURE, SWMR_WRITE, VERSION_AT, AsClosed
 from leactl.runfile.hdf5.text_heaps import longest_text
 from leactl.runfile.hdf5.tree import (
+    MOST_ATTRIBUTE_BYTES,
     MOST_ATTRIBUTES,
-    MOST_NAMES,
     Node,
     attribute_bytes,
     faults_of_attributes,
@@ -35,8 +35,8 @@ TOO_NEW = (
 )
 # h5py raises any of these for a damaged header: TypeError for a type without NumPy type, ValueError for a wrong length
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)
-GROWING = 3  # number of times that a live file is reopened because it grew while it was checked
-BEYOND_ITS_END = "addr overflow"  # text of HDF5's error for an address beyond the file's size when it was opened
+MOST_REOPENINGS = 3  # of a live file, because it grew while it was checked
+PAST_END_ERROR = "addr overflow"  # text of HDF5's error for an address beyond the file's size when it was opened
 USUAL_SIZES = (8, 8)  # bytes of addresses and of lengths
 
 
@@ -65,7 +65,7 @@ def open_run_file(path: Path, root: dict[str, Any] | None = None, values: bool =
             text = "the recording never started (its writer ended while preparing the file); delete it"
             raise InputError(f"{path}: {text}")
         live = bool(flags & SWMR_WRITE)
-        for tries in range(GROWING, -1, -1):
+        for tries in range(MOST_REOPENINGS, -1, -1):
             try:
                 file = h5py.File(AsClosed(raw) if live else path, "r")
             except DAMAGE as fault:
@@ -76,7 +76,7 @@ def open_run_file(path: Path, root: dict[str, Any] | None = None, values: bool =
                 faults = [damage_text(fault)]
             if faults:
                 file.close()
-            if not (tries and live and any(BEYOND_ITS_END in fault for fault in faults)):
+            if not (tries and live and any(PAST_END_ERROR in fault for fault in faults)):
                 break
         if faults:
             raise InputError([f"{path}: {fault}" for fault in faults])
@@ -175,14 +175,14 @@ def faults_of_root(file: Any, longest: int, root: dict[str, Any]) -> list[str]:
     `longest` is the length of the longest text in the file's heaps [bytes].
     """
     try:
-        if (names := int(h5py.h5a.get_num_attrs(file.id))) > MOST_NAMES:
-            return [f"/: {names} attributes; at most {MOST_NAMES} were expected"]
+        if (names := int(h5py.h5a.get_num_attrs(file.id))) > MOST_ATTRIBUTES:
+            return [f"/: {names} attributes; at most {MOST_ATTRIBUTES} were expected"]
         size = attribute_bytes(file.id)
         texts = [Node("/", h5py.h5o.open(file.id, b"/"))]
         if faults := (
             faults_of_attributes(size, "/")
             or faults_of_attribute_types(file.id, "/", is_read_of_run)
-            or faults_of_texts_in_attributes(texts, size, longest, MOST_ATTRIBUTES)
+            or faults_of_texts_in_attributes(texts, size, longest, MOST_ATTRIBUTE_BYTES)
         ):
             return faults
         root |= layout.attributes(file)

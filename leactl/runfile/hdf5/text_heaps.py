@@ -17,8 +17,8 @@ HEADER: Final = struct.Struct("<8sQ")  # head and length of the heap
 OBJECT: Final = struct.Struct("<HHLQ")  # number, references, reserved, length of the value after this header
 ALIGNMENT: Final = 8  # bytes, of the objects in a heap
 BLOCK: Final = 1 << 22  # bytes that are searched at once
-MOST_BYTES: Final = 1 << 24  # of one text; HDF5 and Python briefly hold five copies of it
-MOST_STEPS: Final = 1 << 19  # heaps and the objects in them; a run has some hundred texts, and three for each event
+LONGEST_TEXT_BYTES: Final = 1 << 24  # of one text; HDF5 and Python briefly hold five copies of it
+MOST_HEAP_OBJECTS: Final = 1 << 19  # heaps and their objects; a run has some hundred texts, and three for each event
 
 
 def longest_text(stream: BinaryIO) -> int:
@@ -34,11 +34,11 @@ def longest_text(stream: BinaryIO) -> int:
             steps += 1
             if not number and not length:
                 raise InputError(f"damaged: the texts that begin at byte {heap_at} are not whole")
-            if steps > MOST_STEPS:
-                raise InputError(f"more than {MOST_STEPS} texts; fewer were expected of a run")
+            if steps > MOST_HEAP_OBJECTS:
+                raise InputError(f"more than {MOST_HEAP_OBJECTS} texts; fewer were expected of a run")
             longest = max(longest, length if number else 0)
-            if longest > MOST_BYTES:
-                raise InputError(f"a text of {longest} bytes; at most {MOST_BYTES} were expected")
+            if longest > LONGEST_TEXT_BYTES:
+                raise InputError(f"a text of {longest} bytes; at most {LONGEST_TEXT_BYTES} were expected")
     return longest
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from leactl.errors import InputError
 from leactl.runfile import layout
 from leactl.runfile.hdf5.btrees import BTrees
-from leactl.runfile.hdf5.chunks import DEFLATE_AT_MOST, chunks, exceeds_announced, filters, unpacked
+from leactl.runfile.hdf5.chunks import MOST_DEFLATE_RATIO, chunks, exceeds_announced, filters, unpacked
 from leactl.runfile.hdf5.value_types import (
     attribute_names,
     description_of_type,
@@ -27,25 +27,25 @@ from leactl.runfile.hdf5.value_types import (
 from leactl.yamlfile import shown
 
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
-DEEPEST: Final = 8  # nested groups; the layout has 3
-DEEPEST_FOREIGN: Final = 32  # nested structs and cells in files of other programs
+MOST_LEVELS: Final = 8  # nested groups; the layout has 3
+MOST_FOREIGN_LEVELS: Final = 32  # nested structs and cells in files of other programs
 MOST_OBJECTS: Final = 10_000  # groups and datasets; a run of the largest bench has about 100
 LONGEST_NAME: Final = 1 << 10  # bytes, of one object or link; MATLAB's names have at most 63
-MOST_PATHS: Final = 1 << 22  # bytes of the paths of all objects: 400 for each of 10,000
+MOST_PATH_BYTES: Final = 1 << 22  # bytes of the paths of all objects: 400 for each of 10,000
 MOST_ROWS_OF_TABLE: Final = 1 << 17  # of steps, events and notes
 MOST_TEXTS: Final = 1 << 19  # number of texts in all datasets
-MOST_TEXT: Final = 1 << 26  # bytes of all texts
-MOST_NAMES: Final = 1 << 13  # attributes; to read one by its name, HDF5 searches all attributes of its object
-MOST_ATTRIBUTES: Final = 1 << 20  # bytes of one object; in run files, those of one object share 64 KiB
-MOST_ATTRIBUTES_OF_FILE: Final = 1 << 24  # bytes
-MOST_UNWRITTEN: Final = 1 << 26  # bytes of values that were announced and not written, as after a kill
+MOST_TEXT_BYTES: Final = 1 << 26  # bytes of all texts
+MOST_ATTRIBUTES: Final = 1 << 13  # attributes; to read one by its name, HDF5 searches all attributes of its object
+MOST_ATTRIBUTE_BYTES: Final = 1 << 20  # bytes of one object; in run files, those of one object share 64 KiB
+MOST_ATTRIBUTE_BYTES_OF_FILE: Final = 1 << 24  # bytes
+MOST_UNWRITTEN_BYTES: Final = 1 << 26  # bytes of values that were announced and not written, as after a kill
 ATTRIBUTE_HEADER: Final = 64  # approximate bytes of an attribute without its value
 MOST_UNPACKED: Final = 32, 1 << 28  # limit of all values [bytes]: 32 times the file's size plus 256 MiB
 TEXT_IN_HEAP: Final = np.dtype([("length", "<u4"), ("heap", "<u8"), ("number", "<u4")])  # reference to a text in a heap
-MOST_UNSEEN: Final = 1 << 26  # bytes that the chunks of a file may decompress to without being checked
+MOST_UNCHECKED_BYTES: Final = 1 << 26  # bytes that the chunks of a file may decompress to without being checked
 LARGEST_CHUNK: Final = 1 << 26  # bytes; HDF5 reads a whole chunk for a single value
 
-NEITHER: Final = ("values that are neither numbers nor text", "values that are neither numbers nor references")
+WRONG_VALUES: Final = ("values that are neither numbers nor text", "values that are neither numbers nor references")
 READ_OF_MAT: Final = (b"MATLAB_class", b"MATLAB_empty")  # attributes of MAT files whose values are read
 
 GROUPS: Final = ("setup", "streams", "notes", *layout.SOURCES, *layout.TABLES)
@@ -167,21 +167,21 @@ class Tree:
         attributes = names = paths = 0
         btrees = BTrees(self._raw, file.id.get_create_plist().get_userblock())
         btrees.check(h5py.h5g.get_objinfo(file.id, b"/").objno[0], "/")  # `h5o.get_info` would walk the tree
-        deepest = DEEPEST_FOREIGN if self._foreign else DEEPEST
+        deepest = MOST_FOREIGN_LEVELS if self._foreign else MOST_LEVELS
         for count, (path, item) in enumerate(walk(file.id, btrees, deepest), 1):
             paths += len(path)
             if count > MOST_OBJECTS:
                 raise InputError(f"more than {MOST_OBJECTS} groups and datasets; fewer were expected of a run")
-            if paths > MOST_PATHS:
-                raise InputError(f"more than {MOST_PATHS} bytes of names; fewer were expected")
+            if paths > MOST_PATH_BYTES:
+                raise InputError(f"more than {MOST_PATH_BYTES} bytes of names; fewer were expected")
             if item is None:
                 faults.append(f"{path}: a link instead of data; no link is followed")
                 continue
             self.items[path] = item
             nodes.append(Node(path, item))
             names += int(h5py.h5a.get_num_attrs(item))
-            if names > MOST_NAMES:
-                raise InputError(f"{path}: more than {MOST_NAMES} attributes in this file; fewer were expected")
+            if names > MOST_ATTRIBUTES:
+                raise InputError(f"{path}: more than {MOST_ATTRIBUTES} attributes in this file; fewer were expected")
             size = attribute_bytes(item)
             attributes += size
             is_read = is_read_of_mat if self._foreign else is_read_of_run
@@ -193,11 +193,11 @@ class Tree:
                 self.items[path] = storage = Storage.of(item)
                 self._datasets.append((path, item, storage))
                 faults += faults_of_dataset(storage, path, self._foreign)
-        if attributes > MOST_ATTRIBUTES_OF_FILE and not faults:
-            faults.append(f"{attributes} bytes of attributes; at most {MOST_ATTRIBUTES_OF_FILE} were expected")
+        if attributes > MOST_ATTRIBUTE_BYTES_OF_FILE and not faults:
+            faults.append(f"{attributes} bytes of attributes; at most {MOST_ATTRIBUTE_BYTES_OF_FILE} were expected")
         return (
             faults
-            or faults_of_texts_in_attributes(nodes, attributes, self._longest, MOST_ATTRIBUTES_OF_FILE)
+            or faults_of_texts_in_attributes(nodes, attributes, self._longest, MOST_ATTRIBUTE_BYTES_OF_FILE)
             or self._faults_of_sizes()
             or self._faults_of_texts()
         )
@@ -207,17 +207,18 @@ class Tree:
         unwritten_bytes, largest = 0, ("", 0)
         stored: dict[int, int] = {}  # bytes by address, since an object may have two names
         for path, item, storage in self._datasets:
-            if storage.size <= MOST_UNWRITTEN // MOST_OBJECTS:  # the sum of such small values stays below the limit
+            # the sum of such small values stays below the limit
+            if storage.size <= MOST_UNWRITTEN_BYTES // MOST_OBJECTS:
                 continue
             stored_bytes = int(item.get_storage_size())
             stored[h5py.h5o.get_info(item).addr] = stored_bytes
-            size = max(0, storage.size - (DEFLATE_AT_MOST if storage.is_packed else 1) * stored_bytes)
+            size = max(0, storage.size - (MOST_DEFLATE_RATIO if storage.is_packed else 1) * stored_bytes)
             unwritten_bytes += size
             largest = max(largest, (path, size), key=lambda candidate: candidate[1])
-        if unwritten_bytes > MOST_UNWRITTEN:
+        if unwritten_bytes > MOST_UNWRITTEN_BYTES:
             return [
                 f"{largest[0]}: announces {largest[1]} bytes of values that were never written; at most"
-                f" {MOST_UNWRITTEN} were expected, as a recording that was cut off may leave them"
+                f" {MOST_UNWRITTEN_BYTES} were expected, as a recording that was cut off may leave them"
             ]
         if (size := sum(stored.values())) > self._file_size:
             return [f"damaged: its values take {size} bytes in a file of {self._file_size}"]
@@ -238,7 +239,7 @@ class Tree:
             if not storage.is_text_of_any_length:
                 size += storage.size
                 continue
-            if storage.in_header and storage.announced * self._longest > MOST_TEXT:
+            if storage.in_header and storage.announced * self._longest > MOST_TEXT_BYTES:
                 return [f"{path}: {storage.announced} texts in its header; one of the file has {self._longest} bytes"]
             lengths = self._lengths(item, storage)
             if lengths is None:
@@ -246,7 +247,7 @@ class Tree:
             if (longest := int(lengths.max(initial=0))) > self._file_size:
                 return [f"{path}: damaged: announces a text of {longest} bytes in a file of {self._file_size}"]
             size += int(lengths.sum())
-        return [] if size <= MOST_TEXT else [f"{size} bytes of text; at most {MOST_TEXT} were expected"]
+        return [] if size <= MOST_TEXT_BYTES else [f"{size} bytes of text; at most {MOST_TEXT_BYTES} were expected"]
 
     def _lengths(self, item: Any, storage: Storage) -> "np.ndarray[Any, Any] | None":
         """Return the lengths of a dataset's texts [bytes], from its references.
@@ -276,10 +277,10 @@ class Tree:
     def faults_of_packing(self) -> list[str]:
         """Return a line for each dataset with a chunk that decompresses to more bytes than announced.
 
-        No chunk is decompressed if all of them together cannot exceed `MOST_UNSEEN`.
+        No chunk is decompressed if all of them together cannot exceed `MOST_UNCHECKED_BYTES`.
         """
         packed = [(path, item, storage) for path, item, storage in self._datasets if storage.is_packed]
-        if DEFLATE_AT_MOST * sum(int(item.get_storage_size()) for _, item, _ in packed) <= MOST_UNSEEN:
+        if MOST_DEFLATE_RATIO * sum(int(item.get_storage_size()) for _, item, _ in packed) <= MOST_UNCHECKED_BYTES:
             return []
         return [
             f"{path}: damaged: a chunk unpacks to more than the {storage.chunk_size} bytes that it announces"
@@ -339,7 +340,7 @@ def faults_of_dataset(storage: Storage, hdf5_path: str, foreign: bool = False) -
     elif storage.chunk_size > LARGEST_CHUNK:
         faults.append(f"{hdf5_path}: chunks of {storage.chunk_size} bytes; at most {LARGEST_CHUNK} were expected")
     elif storage.dtype.hasobject and not (is_reference(storage) if foreign else storage.is_text):
-        faults.append(f"{hdf5_path}: {NEITHER[foreign]}")
+        faults.append(f"{hdf5_path}: {WRONG_VALUES[foreign]}")
     elif storage.dtype.hasobject and foreign and storage.announced > MOST_OBJECTS:
         faults.append(f"{hdf5_path}: {storage.announced} references; at most {MOST_OBJECTS} were expected")
     return faults
@@ -361,16 +362,16 @@ def is_read_of_mat(name: bytes) -> bool:
 
 
 def faults_of_attributes(size: int, hdf5_path: str) -> list[str]:
-    """Return a line if the attributes of one object exceed `MOST_ATTRIBUTES` bytes."""
-    if size <= MOST_ATTRIBUTES:
+    """Return a line if the attributes of one object exceed `MOST_ATTRIBUTE_BYTES` bytes."""
+    if size <= MOST_ATTRIBUTE_BYTES:
         return []
-    return [f"{hdf5_path}: {size} bytes of attributes; at most {MOST_ATTRIBUTES} were expected"]
+    return [f"{hdf5_path}: {size} bytes of attributes; at most {MOST_ATTRIBUTE_BYTES} were expected"]
 
 
 def attribute_bytes(item: Any) -> int:
     """Return the size of an object's attributes [bytes], by their headers."""
     least = int(h5py.h5a.get_num_attrs(item)) * ATTRIBUTE_HEADER
-    if not 0 < least <= MOST_ATTRIBUTES:
+    if not 0 < least <= MOST_ATTRIBUTE_BYTES:
         return least
     sizes: list[int] = []
     # in one pass, since HDF5 searches from the beginning for each attribute that is opened by its number
@@ -398,7 +399,7 @@ def faults_of_texts_in_attributes(nodes: Iterable[Node], size: int, longest: int
             if not is_text_of_any_length(attribute.get_type()):
                 continue
             count = math.prod(attribute.shape)
-            if count > 1 and count * longest > MOST_TEXT:
+            if count > 1 and count * longest > MOST_TEXT_BYTES:
                 return [f"{path}: an attribute of {count} texts in a file that has one of {longest} bytes"]
             texts = np.empty(attribute.shape, attribute.dtype)
             attribute.read(texts)

@@ -15,7 +15,7 @@ import numpy as np
 from leactl.errors import InputError
 from leactl.regular_files import open_regular
 from leactl.runfile.hdf5.opening import open_foreign, reading
-from leactl.runfile.hdf5.tree import DEEPEST_FOREIGN, MOST_UNPACKED
+from leactl.runfile.hdf5.tree import MOST_FOREIGN_LEVELS, MOST_UNPACKED
 from leactl.runfile.importing.sources.source import SourceRequest
 from leactl.runfile.importing.sources.trees import TreeSource, Undecoded
 
@@ -115,8 +115,8 @@ class _ReferenceReader:
         """
         address = h5py.h5o.get_info(node.id).addr
         if address not in self._read:
-            if depth == DEEPEST_FOREIGN:  # as where a cell refers to itself
-                raise InputError(f"{self._path}: cells in more than {DEEPEST_FOREIGN} others; fewer were expected")
+            if depth == MOST_FOREIGN_LEVELS:  # as where a cell refers to itself
+                raise InputError(f"{self._path}: cells in more than {MOST_FOREIGN_LEVELS} others; fewer were expected")
             self._read[address] = self._unread(node, depth + 1)
         return self._read[address]
 
