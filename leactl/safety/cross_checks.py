@@ -9,8 +9,8 @@ from leactl.safety.watching import Panel, Trip, Watch
 
 TEMPERATURE_STUCK_S = 600.0  # for a temperature without `stuck_s`: noise or drift shows in steps below 0.1 degC
 TURNING_RAD_S = 0.1  # mean speed over a stretch, far above a velocity's offset; below, a repeated value is no fault
-APART_CYCLES = 3  # between the measurements of a torque and a current that arrive in one cycle, at the most
-LOOKS = 16  # comparisons of the other channels in a stretch: one in each cycle would cost more
+MOST_CYCLES_APART = 3  # between the measurements of a torque and of a current that arrive in one cycle
+COMPARISONS_PER_STRETCH = 16  # of a channel with the others; one in each cycle would cost more
 
 
 class _StillChannel:
@@ -20,12 +20,12 @@ class _StillChannel:
         self.panel, self.watch, self.stuck_s = panel, watch, stuck_s
         self.value, self.began, self.ends = math.nan, -math.inf, -math.inf
         # rad, for an angle or a velocity: position of the shaft and its extremes, by the other of the two
-        self.shaft, self.least, self.most = 0.0, 0.0, 0.0
-        self.followed, self.looked = -math.inf, -math.inf  # when the shaft and the other channels were compared last
-        self.look_at = -math.inf  # when the other channels are compared next
-        self.unread = math.nan  # since when a comparison has been due without a reading of this channel
-        self.others: list[list[float]] = []  # the first number of each other channel in the stretch
-        self.alone = True  # whether no other channel has moved in the stretch so far
+        self.shaft_angle, self.lowest_angle, self.highest_angle = 0.0, 0.0, 0.0
+        self.shaft_updated_at = -math.inf
+        self.compared_at, self.next_comparison = -math.inf, -math.inf  # with the other channels
+        self.nan_since = math.nan  # since when this channel has been NaN while a comparison was due; NaN: it is not
+        self.reference_values: list[list[float]] = []  # for each panel, the first number of each channel in the stretch
+        self.others_unchanged = True  # in the stretch so far
         role = watch.channel.role
         indices = {peer.channel.quantity: peer.index for peer in panel.watches if peer.channel.role == role}
         quantity = watch.channel.quantity
@@ -45,15 +45,15 @@ class _StillChannel:
     def begin(self, panels: Sequence[Panel], now: float) -> None:
         """Begin a stretch with the present values of all channels."""
         self.value, self.began, self.ends = self.panel.values[self.watch.index], now, now + self.stuck_s
-        self.followed = self.looked = now
-        self.look_at = now + self.stuck_s / LOOKS
-        self.unread = math.nan
-        self.shaft = 0.0 if self.angle is None else self.panel.values[self.angle]
-        self.least = self.most = self.shaft
-        self.alone = True
-        self.others = [list(panel.values) for panel in panels]
+        self.shaft_updated_at = self.compared_at = now
+        self.next_comparison = now + self.stuck_s / COMPARISONS_PER_STRETCH
+        self.nan_since = math.nan
+        self.shaft_angle = 0.0 if self.angle is None else self.panel.values[self.angle]
+        self.lowest_angle = self.highest_angle = self.shaft_angle
+        self.others_unchanged = True
+        self.reference_values = [list(panel.values) for panel in panels]
 
-    def follow(self, now: float) -> None:
+    def update_shaft(self, now: float) -> None:
         """Update the position of the shaft, for an angle by the velocity and for a velocity by the angle.
 
         A velocity or angle that is NaN leaves the position as it is. The extremes count: a shaft that swings comes back
@@ -61,30 +61,36 @@ class _StillChannel:
         """
         values = self.panel.values
         if self.velocity is not None and values[self.velocity] == values[self.velocity]:
-            self.shaft += values[self.velocity] * (now - self.followed)
+            self.shaft_angle += values[self.velocity] * (now - self.shaft_updated_at)
         elif self.angle is not None and values[self.angle] == values[self.angle]:
-            self.shaft = values[self.angle]
-        self.followed = now
-        if not self.shaft >= self.least:  # also where the first angle was NaN
-            self.least = self.shaft
-        if not self.shaft <= self.most:
-            self.most = self.shaft
+            self.shaft_angle = values[self.angle]
+        self.shaft_updated_at = now
+        if not self.shaft_angle >= self.lowest_angle:  # also where the first angle was NaN
+            self.lowest_angle = self.shaft_angle
+        if not self.shaft_angle <= self.highest_angle:
+            self.highest_angle = self.shaft_angle
 
     def is_stuck(self) -> bool:
-        """Whether another channel has moved; for an angle or a velocity, whether the other of the two shows motion."""
+        """Whether this channel should have changed.
+
+        That is the case if another channel has changed; for an angle or a velocity, if the other of the two shows that
+        the shaft has moved.
+        """
         if self.velocity is None and self.angle is None:
-            return not self.alone
-        return self.most - self.least > TURNING_RAD_S * self.stuck_s
+            return not self.others_unchanged
+        return self.highest_angle - self.lowest_angle > TURNING_RAD_S * self.stuck_s
 
 
 class Stuck:
-    """Trips on a channel that repeats one value through a stretch of its `stuck_s` while any other channel moves.
+    """Trips if a channel has repeated one value for its `stuck_s` while another channel changed.
 
-    A shaft at rest repeats its angle and its velocity. Either of the two trips only if the other shows, in the same
-    stretch, a motion of more than `TURNING_RAD_S` times `stuck_s`. A drive that is off may repeat a current of exactly
-    0: that time lengthens the stretch. A sample that is NaN is ignored. Stretches follow one another, so that a channel
-    that freezes trips one to two stretches later. A channel that changes is not compared again until its next stretch
-    begins. Of a block of samples, the last one is compared.
+    Exceptions: A shaft at rest repeats its angle and its velocity, so that either of the two trips only if the other
+    shows a motion of more than `TURNING_RAD_S` times `stuck_s` in the same time. The current of a drive that is off may
+    be exactly 0, and the time for which it is does not count. A sample that is NaN is ignored.
+
+    Time is divided into stretches of `stuck_s` that follow one another: a channel that freezes trips one to two
+    stretches later, and a channel that changes is not compared again until its next stretch begins. Of a block of
+    samples, the last one is compared.
     """
 
     def __init__(self, panels: Sequence[Panel], interlocks: Interlocks) -> None:
@@ -115,9 +121,9 @@ class Stuck:
         ]
         for item in self._still:
             if item.velocity is not None or item.angle is not None:
-                item.follow(now)
-            elif now >= item.look_at:
-                self._look_at_others(item, now)
+                item.update_shaft(now)
+            elif now >= item.next_comparison:
+                self._compare_others(item, now)
         if now >= self._next:
             self._begin_stretches(now)
         self.due = -math.inf if self._still else self._next
@@ -128,35 +134,36 @@ class Stuck:
             if now >= item.ends and item.panel.values and item.is_read():
                 if item in self._still and item.is_stuck():
                     watch = item.watch
-                    judged = " of operation" if item.ends > item.began + item.stuck_s else ""
+                    operating = " of operation" if item.ends > item.began + item.stuck_s else ""
                     hint = "; one resolved so coarsely needs a longer stuck_s" if watch.temperature else ""
                     watch.trip(
-                        f"{watch.label} has been exactly {item.value:.6g} {watch.unit} for {item.stuck_s:g} s{judged}"
-                        f" while others moved: stuck{hint}"
+                        f"{watch.label} has been exactly {item.value:.6g} {watch.unit} for {item.stuck_s:g} s"
+                        f"{operating} while others moved: stuck{hint}"
                     )
                 item.begin(self._panels, now)
                 if item not in self._still:
                     self._still.append(item)
         self._next = min(item.ends for item in self._channels)
 
-    def _look_at_others(self, item: _StillChannel, now: float) -> None:
-        """Compare the other channels; time in which the drive is off or the channel unread lengthens the stretch."""
+    def _compare_others(self, item: _StillChannel, now: float) -> None:
+        """Compare the other channels; time for which the drive is off or the channel NaN lengthens the stretch."""
         if not item.is_read():  # it is not known either whether a drive is off
-            item.unread = item.unread if item.unread <= now else now
+            item.nan_since = item.nan_since if item.nan_since <= now else now
             return
-        if item.unread <= now:  # that time counts neither as operation nor as a stretch
-            item.ends += now - item.unread
-            item.looked += now - item.unread
-            item.unread = math.nan
-        since, item.looked, item.look_at = now - item.looked, now, now + item.stuck_s / LOOKS
+        if item.nan_since <= now:  # that time counts neither as operation nor as a stretch
+            item.ends += now - item.nan_since
+            item.compared_at += now - item.nan_since
+            item.nan_since = math.nan
+        since, item.compared_at = now - item.compared_at, now
+        item.next_comparison = now + item.stuck_s / COMPARISONS_PER_STRETCH
         if item.is_off():
             item.ends += since
-        elif item.alone:
-            item.alone = not self._others_moved(item)
+        elif item.others_unchanged:
+            item.others_unchanged = not self._others_changed(item)
 
-    def _others_moved(self, item: _StillChannel) -> bool:
+    def _others_changed(self, item: _StillChannel) -> bool:
         """Whether any other channel differs from its first number in the stretch."""
-        for panel, before in zip(self._panels, item.others, strict=True):
+        for panel, before in zip(self._panels, item.reference_values, strict=True):
             for watch in panel.watches:
                 index = watch.index
                 if watch is item.watch or not before:
@@ -179,7 +186,7 @@ class Velocities:
 
     def __init__(self, settings: VelocityDisagreement, rotors: Mapping[str, Rotor], trip: Trip) -> None:
         self._settings, self._rotors, self._trip = settings, rotors, trip
-        self._lasting = dict.fromkeys(rotors, 0.0)  # s, for which each velocity has contradicted its angle
+        self._contradicted_s = dict.fromkeys(rotors, 0.0)  # s, for which each velocity has contradicted its angle
         self._advanced = math.nan
 
     def look(self, advanced: float, judged: Container[str]) -> None:
@@ -196,13 +203,14 @@ class Velocities:
         for role, rotor in self._rotors.items():
             motion = rotor.motion
             if motion is None or role not in judged:
-                self._lasting[role] = 0.0
+                self._contradicted_s[role] = 0.0
                 continue
             allowed = settings.tolerance_rad_s + 0.01 * settings.share_percent * motion.speed + motion.unsteady
-            self._lasting[role] = self._lasting[role] + step if motion.difference > allowed else 0.0
-            if self._lasting[role] >= settings.for_s:
+            contradicted_s = self._contradicted_s[role] + step if motion.difference > allowed else 0.0
+            self._contradicted_s[role] = contradicted_s
+            if contradicted_s >= settings.for_s:
                 self._trip(
                     f"{role} velocity is {motion.difference:.3g} rad/s from the change of the angle in the mean of"
-                    f" {self._lasting[role]:.3g} s, at {motion.speed:.3g} rad/s; {allowed:.3g} rad/s are allowed: is it"
-                    " noisy, or are the two of different shafts?"
+                    f" {contradicted_s:.3g} s, at {motion.speed:.3g} rad/s; {allowed:.3g} rad/s are allowed:"
+                    " is it noisy, or are the two of different shafts?"
                 )

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from leactl.driver.contract import MotionDevice
 from leactl.model.winding import WindingType, voltage_ceiling
-from leactl.safety.cross_checks import APART_CYCLES
+from leactl.safety.cross_checks import MOST_CYCLES_APART
 from leactl.safety.interlocks import CurrentDisagreement
 from leactl.safety.limits import Limits
 from leactl.safety.watching import Trip
@@ -51,7 +51,7 @@ class CurrentTracking:
         self._share, self._for_s = settings.share_percent / 100.0, settings.for_s
         self._floor = settings.floor_A or FLOOR * limits.current_A
         self._available = voltage_ceiling(limits.bus_voltage_low_V, need.winding)
-        self._demands: deque[float] = deque(maxlen=APART_CYCLES + 1)
+        self._demands: deque[float] = deque(maxlen=MOST_CYCLES_APART + 1)
         self.since, self._cycles = math.nan, 0  # when the present disagreement began, and its cycles
         self.turn_to(judges=False)
 
@@ -101,7 +101,7 @@ class CurrentTracking:
         if not self.since <= now:
             self.since, self._cycles = now, 0
         self._cycles += 1
-        if now - self.since >= self._for_s and self._cycles > APART_CYCLES:
+        if now - self.since >= self._for_s and self._cycles > MOST_CYCLES_APART:
             self._trip(
                 f"{self._role} q_axis_current of {current:.4g} A contradicts its demand of {demand:.4g} A for"
                 f" {now - self.since:.3g} s; {allowed:.3g} A apart are allowed: is the current sensor connected, and"

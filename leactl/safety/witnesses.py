@@ -16,7 +16,7 @@ import numpy as np
 
 from leactl.model.motor import Motor
 from leactl.quantities import ChannelSpec
-from leactl.safety.cross_checks import APART_CYCLES, TURNING_RAD_S
+from leactl.safety.cross_checks import MOST_CYCLES_APART, TURNING_RAD_S
 from leactl.safety.interlocks import Interlocks, TorqueDisagreement, VoltageDisagreement
 from leactl.safety.thermal.box import Array, Box, Range
 from leactl.safety.watching import Panel, Trip
@@ -257,7 +257,7 @@ class Witnesses:
         for current, account in enumerate(self._accounts, start=CURRENTS):
             if not self._plainly_agrees(account, current, columns, ends):
                 self._hold_against(account, current, np.array(log), (now - self._began) / (cycles - self._carried_over))
-        self._carried_over = min(APART_CYCLES, cycles)
+        self._carried_over = min(MOST_CYCLES_APART, cycles)
         del log[: -self._carried_over]
         self._began, self.due = now, now + self._window
 
@@ -282,7 +282,7 @@ class Witnesses:
         read = float(squares[self._carried_over :].mean())
         # the sensors are not sampled at one moment: a current that changes may be read some cycles apart, and a sensor
         # that is slower than the loop may catch every other sample of a swing
-        spread = APART_CYCLES / len(window) * float(squares.max() - squares.min())
+        spread = MOST_CYCLES_APART / len(window) * float(squares.max() - squares.min())
         apart = spread + (float(np.abs(np.diff(squares)).mean()) if len(squares) > 1 else 0.0)
         velocity = window[:, VELOCITY]
         before = float(rows[self._carried_over - 1, VELOCITY]) if self._carried_over else float(velocity[0])
