@@ -67,7 +67,7 @@ class ReadingSampler:
 
     def sample(self, progress: Progress) -> StreamRows:
         """Return the newest readings as one row; a row that the last sample had already does not count."""
-        newest = {"loop": progress.values, **progress.own}
+        newest = {"loop": progress.values, **progress.device_values}
         fresh = {stream: row for stream, row in newest.items() if row is not self._last_rows.get(stream)}
         self._last_rows = newest
         values = [

@@ -211,7 +211,7 @@ def _values(progress: Progress) -> list[tuple[str, str]]:
     """Return names and values of all channels and windings."""
     cells = []
     for stream, channels in progress.streams.items():
-        cells += _cells(channels, progress.values if stream == "loop" else progress.own.get(stream, ()))
+        cells += _cells(channels, progress.values if stream == "loop" else progress.device_values.get(stream, ()))
     estimates, bounds = progress.windings
     to_limit_s = progress.time_to_limit()
     for role, estimate in estimates.items():

@@ -22,7 +22,7 @@ class Held:
 
     @staticmethod
     def _trip_of(run: UnlatchedRun) -> Trip:
-        return Trip("", f"{run.lost.cause}; {run.fault}", run.lost.last_told, run.lost.recording)
+        return Trip("", f"{run.lost.cause}; {run.fault}", run.lost.last_written, run.lost.recording)
 
 
 def held_by(word: str, bench: str) -> Held:

@@ -116,7 +116,7 @@ def dry_run(request: Request) -> DryRun:
     ready = admitted(request, windings)
     plan, bench = ready.request.plan, ready.bench
     warnings = [f"{name}: {text}" for name, text in overdue(request.devices).items()]
-    if fault := state_folder.place_of(request.bench, request.in_process).fault:
+    if fault := state_folder.folder_of(request.bench, request.in_process).fault:
         warnings.append(f"{fault}; see: leactl doctor")
     planned, forecast = room_needed(request, bench), windings.forecast(plan)
     return DryRun(plan, planned, windings, forecast, ready.stays_on, warnings, unwitnessed(plan, bench))

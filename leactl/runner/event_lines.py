@@ -136,7 +136,7 @@ class EventLines:
         progress = self._progress
         if progress is None:
             return
-        newest = {"loop": progress.values, **progress.own}
+        newest = {"loop": progress.values, **progress.device_values}
         for stream, channels in progress.streams.items():
             for channel, value in zip(channels, newest.get(stream, ()), strict=False):
                 if math.isfinite(value):

@@ -1,7 +1,7 @@
 """Trip latches: files in which a tripped bench stays latched until a person resets it.
 
 A bench on real buses latches for the machine, by its name. A bench that is emulated in the process of its run latches
-by its bench file, so that a tripped rehearsal does not hold another one. A latch in any place of state holds the bench.
+by its bench file, so that a tripped rehearsal does not hold another one. A latch in any state folder holds the bench.
 """
 
 import errno
@@ -28,8 +28,8 @@ from leactl.yamlfile import printable
 
 SUFFIX = ".trip.json"
 RELEASED = b'{"released": true}\n'  # written to the file of another user, which only that user may remove
-BYTES = 4096  # of a latch that is held ready, so that setting it takes no disk space
-DIGITS = 16  # of a file's digest in the name of its latch
+LATCH_BYTES = 4096  # of a latch that is held ready, so that setting it takes no disk space
+DIGEST_DIGITS = 16  # of a file's digest in the name of its latch
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Latch:
         """
         path = Path(self.paths[0])
         try:
-            descriptor = state_folder.opened(path, self.shared)
+            descriptor = state_folder.open_file(path, self.shared)
             try:
                 text = _content(self.bench, cause, run)
                 if write_at(descriptor, text, 0) < len(
@@ -111,7 +111,7 @@ class Latch:
                 path.rename(path.with_name(f"{path.name}.{secrets.token_hex(4)}.aside"))
                 continue
             try:  # a file of another user in a sticky directory
-                descriptor = state_folder.opened(path, self.shared)
+                descriptor = state_folder.open_file(path, self.shared)
                 try:
                     os.ftruncate(descriptor, 0)
                     os.write(descriptor, RELEASED)
@@ -131,7 +131,7 @@ class UnlatchedRun(NamedTuple):
     fault: str
 
 
-class Ready:
+class OpenLatch:
     """A latch whose file is open and of full size before the first move: setting it needs no descriptor or disk space.
 
     Until then the file says that the latch is released. If the file was removed or exchanged, `set` makes a new one.
@@ -147,8 +147,8 @@ class Ready:
         self._latch, self._path = latch, Path(latch.paths[0])
         self._cut_short = json.dumps(asdict(Trip(latch.bench, "unknown, for want of memory", "", ""))).encode()
         try:
-            self._descriptor = state_folder.opened(self._path, latch.shared)
-            if read_at(self._descriptor, BYTES, 0).strip() in (b"", RELEASED.strip()):
+            self._descriptor = state_folder.open_file(self._path, latch.shared)
+            if read_at(self._descriptor, LATCH_BYTES, 0).strip() in (b"", RELEASED.strip()):
                 self._write(RELEASED)
                 force_to_disk(self._path.parent)
         except OSError as error:
@@ -165,7 +165,7 @@ class Ready:
             text = _content(self._latch.bench, cause, run)
         except MemoryError:
             text = self._cut_short
-        if not state_folder.in_place(self._descriptor, self._path):
+        if not state_folder.is_at_path(self._descriptor, self._path):
             self._latch.set(cause, run)
             return
         try:
@@ -177,14 +177,14 @@ class Ready:
         """Close the file, and remove it if the latch was not set."""
         with suppress(OSError):
             if (
-                state_folder.in_place(self._descriptor, self._path)
-                and read_at(self._descriptor, BYTES, 0).strip() == RELEASED.strip()
+                state_folder.is_at_path(self._descriptor, self._path)
+                and read_at(self._descriptor, LATCH_BYTES, 0).strip() == RELEASED.strip()
             ):
                 self._path.unlink()
         os.close(self._descriptor)
 
     def _write(self, text: bytes) -> None:
-        if write_at(self._descriptor, text.ljust(BYTES), 0) < len(text):
+        if write_at(self._descriptor, text.ljust(LATCH_BYTES), 0) < len(text):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         os.fsync(self._descriptor)
 
@@ -199,8 +199,8 @@ def of(bench: BenchFile, file: str, in_process: bool) -> Latch:
     """Return the latch of a bench for its run; `file` is the path of the bench file."""
     if in_process:
         return _of_file(bench.name, Path(file))
-    state = state_folder.place_of(bench, in_process)
-    directories = dict.fromkeys([state.directory, *(place.directory for place in state_folder.places())])
+    state = state_folder.folder_of(bench, in_process)
+    directories = dict.fromkeys([state.directory, *(folder.directory for folder in state_folder.folders())])
     paths = tuple(str(directory / f"{bench.name}{SUFFIX}") for directory in directories)
     return Latch(bench.name, bench.name, paths, state.shared)
 
@@ -228,7 +228,7 @@ def latch_lost_runs(bench: str) -> list[UnlatchedRun]:
     """
     unlatched = []
     for run in runs_underway.lost(bench):
-        latch = Latch(bench, bench, (str(run.place.directory / f"{bench}{SUFFIX}"),), run.place.shared)
+        latch = Latch(bench, bench, (str(run.folder.directory / f"{bench}{SUFFIX}"),), run.folder.shared)
         trip = latch.trip()
         try:
             if trip is None or f"process {run.process} " not in trip.cause:
@@ -253,21 +253,21 @@ def refuse_lost_runs(bench: str) -> None:
 
 
 def _of_file(bench: str, file: Path) -> Latch:
-    """Return the latch of a bench emulated here, by the resolved path of its file, in the user's place of state."""
+    """Return the latch of a bench emulated here, by the resolved path of its file, in the user's state folder."""
     path = file.resolve()
     resets = path.stem if path.parent == benchfile.SHIPPED.resolve() else str(path)
-    digest = sha256(os.fsencode(path)).hexdigest()[:DIGITS]
+    digest = sha256(os.fsencode(path)).hexdigest()[:DIGEST_DIGITS]
     return Latch(bench, resets, (str(state_folder.state_directory() / f"{bench}@{digest}{SUFFIX}"),))
 
 
 def _by_name(bench: str, of_files: bool = True) -> Iterator[Latch]:
-    """Yield the latches in all places of state for benches of this name, which has no `@`."""
-    for place in state_folder.places():
+    """Yield the latches in all state folders for benches of this name, which has no `@`."""
+    for folder in state_folder.folders():
         with suppress(OSError):
-            for path in sorted(place.directory.iterdir()):
+            for path in sorted(folder.directory.iterdir()):
                 key, suffix, after = path.name.partition(SUFFIX)
                 if suffix and not after and (key == bench or (of_files and key.partition("@")[0] == bench)):
-                    yield Latch(bench, bench, (str(path),), place.shared)
+                    yield Latch(bench, bench, (str(path),), folder.shared)
 
 
 def _trip(bench: str, path: Path) -> Trip | None:

@@ -82,7 +82,7 @@ def idle(bench: str) -> Iterator[None]:
     """
     with ExitStack() as stack:
         if sys.platform == "linux":  # elsewhere no device is driven
-            served = (_served(bench, place) for place in state_folder.places())
+            served = (_served(bench, folder) for folder in state_folder.folders())
             for name in dict.fromkeys((_on_real_buses(bench), *served)):
                 stack.enter_context(alone(name, f"bench '{bench}' cannot be reset: a run or another reset has it"))
         yield
@@ -92,15 +92,15 @@ def name_of(bench: BenchFile) -> str:
     """Return the name of a bench's lock; for a served bench it contains the state folder, for names may repeat."""
     if bench.emulated is None:
         return _on_real_buses(bench.name)
-    return _served(bench.name, state_folder.place_of(bench, in_process=False))
+    return _served(bench.name, state_folder.folder_of(bench, in_process=False))
 
 
 def _on_real_buses(bench: str) -> str:
     return f"bench-{bench}"
 
 
-def _served(bench: str, place: state_folder.Place) -> str:
-    return f"{place.directory}/bench-{bench}"
+def _served(bench: str, folder: state_folder.StateFolder) -> str:
+    return f"{folder.directory}/bench-{bench}"
 
 
 @contextmanager
@@ -161,7 +161,7 @@ def locked(path: Path, taken: str) -> Iterator[int]:
     except ImportError:
         raise InputError(f"{path}: this system has no locks of files, which keep two processes apart here") from None
     try:
-        descriptor = state_folder.opened(path, shared=False)
+        descriptor = state_folder.open_file(path, shared=False)
     except OSError as error:
         raise InputError(f"{path}: no lock can be kept here: {error.strerror or error}") from None
     try:

@@ -34,15 +34,15 @@ from leactl.runner.criterion import Judge
 from leactl.runner.flushing import Recording
 from leactl.runner.step_outcomes import Outcomes
 from leactl.runner.stop_requests import RunControl
-from leactl.runner.watchdog import CYCLES, Unwatched, hung
+from leactl.runner.watchdog import CYCLES, NoWatchdog, standstill_text
 from leactl.safety.supervisor import Supervisor
 
 ANSWER_SHARE = 0.6  # of a period, that the drives' answers may take
 LEAST_ANSWER_S = 0.002
-SWITCHED_S = 10.0  # in which a supply must report on or off; its driver gives up earlier if the supply denies it
+SWITCH_TIMEOUT_S = 10.0  # in which a supply must report on or off; its driver gives up earlier if the supply denies it
 LONGEST_PAUSE_S = 3600.0  # after a longer pause nobody attends the bench any more, and the run ends in order
 CUT_SHORT, NOT_JUDGED = "cut short", "not judged"  # outcomes of a criterion besides met and not met
-NOTICES_EVERY = 16  # cycles: notices cause no action, and need not cost time in every cycle
+NOTICE_CYCLES = 16  # from one look at notices to the next: they cause no action, and need not cost time in every cycle
 
 
 class Loop:
@@ -53,7 +53,7 @@ class Loop:
         plan: Plan,
         bench: Bench,
         supervisor: Supervisor,
-        watchdog: Unwatched,
+        watchdog: NoWatchdog,
         control: RunControl,
         recording: Recording,
     ) -> None:
@@ -69,9 +69,9 @@ class Loop:
         self._answer_s = max(ANSWER_SHARE * self._period, LEAST_ANSWER_S)
         self._start = self._next = self._clock.now()
         self._newest: dict[str, Sequence[float]] = {}
-        self._progress.own = self._newest
+        self._progress.device_values = self._newest
         self._row: list[float] = []
-        self._judged: Sequence[float] = ()  # the row that a criterion has taken last
+        self._judged_row: Sequence[float] = ()  # the row that a criterion has taken last
         self._record_at(plan.record_Hz)
         self._planned = 0.0
         self.overruns = 0
@@ -208,7 +208,7 @@ class Loop:
         self._flush.after_cycle()
         self.cycles += 1
         self._sign[CYCLES] += 1
-        if supervisor.warnings or not self.cycles % NOTICES_EVERY:
+        if supervisor.warnings or not self.cycles % NOTICE_CYCLES:
             supervisor.free_space(self._flush.free_bytes)
             self._pass_on_notices()
             self._see_watchdog()
@@ -224,7 +224,9 @@ class Loop:
     def _see_standstill(self, late: float) -> None:
         """Trip if the loop stood still for longer than is allowed, and the watchdog has not yet acted."""
         if late > self._watchdog.allowed_s and not self._supervisor.tripped:
-            self._supervisor.trip(hung(os.getpid(), round(1e9 * late), round(1e9 * self._watchdog.allowed_s)))
+            self._supervisor.trip(
+                standstill_text(os.getpid(), round(1e9 * late), round(1e9 * self._watchdog.allowed_s))
+            )
 
     def _note_overrun(self, late: float) -> None:
         self._see_standstill(late)
@@ -337,8 +339,8 @@ class Loop:
     def _meets(self, until: Until, judge: Judge) -> bool:
         """Pass the channel's newest sample to the criterion, each once; return whether the criterion is met."""
         values, column = self._newest_row(until.quantity, until.role)
-        if values is not self._judged:
-            self._judged = values
+        if values is not self._judged_row:
+            self._judged_row = values
             judge.receive(self.time, values[column] if column < len(values) else math.nan)
         return judge.met(self.time)
 
@@ -377,7 +379,7 @@ class Loop:
             else:
                 self._commanded.supply(role, True)
                 supplies.put_out(role, *output)
-        end = self.time + SWITCHED_S
+        end = self.time + SWITCH_TIMEOUT_S
         self._cycle()
         while waiting := [role for role, pair in outputs.items() if supplies.supplying(role) is not (pair is not None)]:
             if self.time >= end:

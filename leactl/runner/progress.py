@@ -18,7 +18,7 @@ class Progress:
     total_s: float
     streams: Mapping[str, tuple[ChannelSpec, ...]]
     values: Sequence[float] = ()  # of stream "loop"
-    own: Mapping[str, Sequence[float]] = field(default_factory=dict)  # newest row of every other stream
+    device_values: Mapping[str, Sequence[float]] = field(default_factory=dict)  # newest row of every other stream
     windings: tuple[Mapping[str, float], Mapping[str, float]] = (
         {},
         {},

@@ -91,7 +91,7 @@ def warn_of_bench(request: Request, writer: RunWriter, bench: Bench, progress: P
     for name, text in doubts:
         writer.event(0.0, "warning", name, text)
         progress.warnings.append(f"{name}: {text}")
-    state = state_folder.place_of(request.bench, request.in_process)
+    state = state_folder.folder_of(request.bench, request.in_process)
     if state.fault:
         text = f"{state.fault}; trip latch and winding memory are this user's alone, in {state.directory}"
         progress.warnings.append(f"{text}; see: leactl doctor")

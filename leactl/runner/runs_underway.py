@@ -25,13 +25,13 @@ from leactl.driver.contract import Confirmation
 from leactl.errors import DeviceError, InputError
 from leactl.regular_files import AS_BYTES, AT_ONCE, NO_LINK, read_at, write_at
 from leactl.runner import lock_holders, state_folder
-from leactl.runner.state_folder import Place
+from leactl.runner.state_folder import StateFolder
 from leactl.yamlfile import printable
 
 GOES_ON, STOP, PAUSE = b"-", b"!", b"="
-HEAD = 2  # bytes: the first asks for a stop and the second for a pause, so that neither undoes the other
+HEAD_BYTES = 2  # the first asks for a stop and the second for a pause, so that neither undoes the other
 CAUSE = "stopped by `leactl bench stop`"
-LOOK_EVERY_S = 0.02
+POLL_INTERVAL_S = 0.02
 MOST_FILE_BYTES = 1 << 22  # of a file, with thousands of remarks
 
 
@@ -41,9 +41,9 @@ class Announcement:
     def __init__(self, descriptor: int, fault: str = "", path: Path | None = None, shared: bool = False) -> None:
         self.fault = fault  # why no other process can find the file
         self._descriptor, self._path, self._shared = descriptor, path, shared
-        self._head = mmap.mmap(descriptor, HEAD, access=mmap.ACCESS_READ)
-        self._read_to = HEAD
-        self._telling = threading.Lock()
+        self._head = mmap.mmap(descriptor, HEAD_BYTES, access=mmap.ACCESS_READ)
+        self._read_to = HEAD_BYTES
+        self._append_lock = threading.Lock()
 
     def renew(self) -> None:
         """Make the file anew if it was removed, exchanged or moved, for no other process could find the run any more.
@@ -52,16 +52,16 @@ class Announcement:
         """
         if self._path is None:
             return
-        with suppress(OSError), self._telling:
-            if state_folder.in_place(self._descriptor, self._path):
+        with suppress(OSError), self._append_lock:
+            if state_folder.is_at_path(self._descriptor, self._path):
                 return
             with suppress(FileNotFoundError):
                 self._path.rename(self._path.with_name(f"{self._path.name}.{secrets.token_hex(4)}.aside"))
             text = read_at(self._descriptor, MOST_FILE_BYTES, 0)
-            descriptor = _locked(self._path, text, self._shared)
-            self._descriptor, self._head = descriptor, mmap.mmap(descriptor, HEAD, access=mmap.ACCESS_READ)
+            descriptor = _make_locked_file(self._path, text, self._shared)
+            self._descriptor, self._head = descriptor, mmap.mmap(descriptor, HEAD_BYTES, access=mmap.ACCESS_READ)
 
-    def asked(self) -> str:
+    def stop_cause(self) -> str:
         """Return the cause of a stop that another process has asked for, else an empty string."""
         return CAUSE if self._head[0] == STOP[0] else ""
 
@@ -85,7 +85,7 @@ class Announcement:
 
     def tell(self, **facts: Any) -> None:
         """Append facts to the file; a failure to write is ignored."""
-        with suppress(OSError), self._telling:
+        with suppress(OSError), self._append_lock:
             os.lseek(self._descriptor, 0, os.SEEK_END)
             os.write(self._descriptor, _line(facts))
 
@@ -101,29 +101,29 @@ class Announcement:
 
 @contextmanager
 def announced(
-    bench: str, bench_file: str, protocol: str, needed: bool, place: Place | None = None
+    bench: str, bench_file: str, protocol: str, needed: bool, folder: StateFolder | None = None
 ) -> Iterator[Announcement]:
     """Let a run be found and stopped by other processes until the block is left.
 
     If no file can be made and it is not `needed`, since the run's devices end with the run, a file without a name takes
-    its place. Without a `place`, the file is in the user's own place of state.
+    its place. Without a `folder`, the file is in the user's own state folder.
 
     Raises
     ------
     InputError : the file is `needed` and cannot be made.
     """
-    place = place or state_folder.of_user()
-    path = place.runs / f"{bench}.{os.getpid()}.{secrets.token_hex(4)}.run"
+    folder = folder or state_folder.of_user()
+    path = folder.runs / f"{bench}.{os.getpid()}.{secrets.token_hex(4)}.run"
     file = str(Path(bench_file).resolve())
     about = {"bench": bench, "file": file, "protocol": protocol, "process": os.getpid(), "real": needed}
     try:
-        descriptor = _locked(path, 2 * GOES_ON + _line(about), place.shared)
-        announcement = Announcement(descriptor, path=path, shared=place.shared)
+        descriptor = _make_locked_file(path, 2 * GOES_ON + _line(about), folder.shared)
+        announcement = Announcement(descriptor, path=path, shared=folder.shared)
     except OSError as error:
         fault = f"{path.parent}: `leactl bench stop` cannot reach this run: {error.strerror or error}"
         if needed:
             raise InputError(f"{fault}; set LEACTL_STATE to a directory that can be written") from None
-        nowhere = _nowhere()
+        nowhere = _nameless_file()
         os.write(nowhere, 2 * GOES_ON)
         announcement = Announcement(nowhere, fault)
     try:
@@ -137,7 +137,7 @@ def announced(
         announcement.close()
 
 
-def _nowhere() -> int:
+def _nameless_file() -> int:
     """Open a file without a name, in memory if the system has such files."""
     if hasattr(os, "memfd_create"):
         return os.memfd_create("run")
@@ -145,14 +145,14 @@ def _nowhere() -> int:
         return os.dup(file.fileno())
 
 
-def _locked(path: Path, text: bytes, shared: bool) -> int:
+def _make_locked_file(path: Path, text: bytes, shared: bool) -> int:
     """Make a file that is locked before it gets its name, for a file without a lock counts as that of an ended run."""
     try:
         import fcntl
     except ImportError:
         raise OSError(errno.ENOSYS, "this system has no locks of files") from None
     hidden = path.with_suffix(".tmp")
-    descriptor = state_folder.opened(hidden, shared)
+    descriptor = state_folder.open_file(hidden, shared)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         os.write(descriptor, text)
@@ -228,10 +228,10 @@ class RunUnderway:
 
     def wait(self, deadline: float) -> bool:
         """Wait until the run has ended or until `deadline` of `time.monotonic` [s]; return whether it has ended."""
-        while not _ended(self.descriptor):
+        while not _has_ended(self.descriptor):
             if time.monotonic() >= deadline:
                 return False
-            time.sleep(LOOK_EVERY_S)
+            time.sleep(POLL_INTERVAL_S)
         return True
 
     def facts(self) -> dict[str, Any]:
@@ -255,29 +255,33 @@ class LostRun(NamedTuple):
     process: object  # its number
     cause: str  # for the trip that it latches
     recording: str
-    place: Place  # of state, in which its file is
+    folder: StateFolder  # in which its file is
     path: Path  # of its file
-    last_told: str  # ISO 8601, UTC: when its file was last written
+    last_written: str  # ISO 8601, UTC: when its file was last written
 
 
 def lost(bench: str) -> list[LostRun]:
     """Return the runs of a bench that ended without recording that its devices are safe, except forgotten ones."""
     runs = []
-    for place, path in [(state, path) for state in state_folder.places() for path in sorted(state.runs.glob("*.run"))]:
+    for folder, path in [
+        (state, path) for state in state_folder.folders() for path in sorted(state.runs.glob("*.run"))
+    ]:
         with suppress(OSError):  # `running` reports a file that is no run's
-            descriptor = _opened(path)
+            descriptor = _open_file(path)
             if descriptor is None:
                 continue
             try:
-                if not _ended(descriptor) or (about := _facts(descriptor)).get("bench") != bench:
+                if not _has_ended(descriptor) or (about := _facts(descriptor)).get("bench") != bench:
                     continue
                 if _is_over(about):
                     path.unlink(missing_ok=True)
                     continue
                 run = f"process {about.get('process')} of the run {about.get('protocol')}"
                 cause = f"{run} ended without a word, and its watchdog too"
-                last_told = datetime.fromtimestamp(os.fstat(descriptor).st_mtime, UTC).isoformat(timespec="seconds")
-                runs.append(LostRun(about.get("process"), cause, str(about.get("run", "none")), place, path, last_told))
+                last_written = datetime.fromtimestamp(os.fstat(descriptor).st_mtime, UTC).isoformat(timespec="seconds")
+                runs.append(
+                    LostRun(about.get("process"), cause, str(about.get("run", "none")), folder, path, last_written)
+                )
             finally:
                 os.close(descriptor)
     return runs
@@ -294,7 +298,7 @@ def forget(run: LostRun) -> None:
         run.path.unlink(missing_ok=True)
         return
     try:
-        descriptor = _opened(run.path)
+        descriptor = _open_file(run.path)
         if descriptor is None:
             return
         try:
@@ -329,17 +333,17 @@ def running() -> tuple[list[RunUnderway], list[str]]:
 
     Files of runs that ended with safe devices are removed; the others remain for `lost`.
     """
-    places, faults = state_folder.reachable()
+    folders, faults = state_folder.reachable()
     underway = []
-    for path in [path for place in places for path in sorted(place.runs.glob("*.run"))]:
+    for path in [path for folder in folders for path in sorted(folder.runs.glob("*.run"))]:
         try:
-            descriptor = _opened(path)
+            descriptor = _open_file(path)
         except OSError as error:
             faults.append(f"{path}: cannot be read, and may hide what runs: {error.strerror or error}")
             continue
         if descriptor is None:
             continue
-        if _ended(descriptor):
+        if _has_ended(descriptor):
             if _is_over(_facts(descriptor)):
                 with suppress(OSError):
                     path.unlink(missing_ok=True)
@@ -368,7 +372,7 @@ def unseen(bench: str) -> str:
     )
 
 
-def _opened(path: Path) -> int | None:
+def _open_file(path: Path) -> int | None:
     """Open a run's file, for reading alone if its permissions allow no more; return None if it is gone.
 
     Raises
@@ -389,7 +393,7 @@ def _opened(path: Path) -> int | None:
     raise OSError("a regular file was expected; remove what lies there")
 
 
-def _ended(descriptor: int) -> bool:
+def _has_ended(descriptor: int) -> bool:
     """Whether no process has locked a run's file any more."""
     import fcntl  # of POSIX alone: elsewhere no run leaves such a file
 
@@ -403,7 +407,7 @@ def _ended(descriptor: int) -> bool:
 def _facts(descriptor: int) -> dict[str, Any]:
     """Return the facts in a run's file; later lines replace earlier ones, and a malformed `safe` is left out."""
     facts: dict[str, Any] = {}
-    for line in _lines(read_at(descriptor, MOST_FILE_BYTES, HEAD)):
+    for line in _lines(read_at(descriptor, MOST_FILE_BYTES, HEAD_BYTES)):
         facts |= line
     if not _is_of_devices(facts.get("safe", {})):
         del facts["safe"]

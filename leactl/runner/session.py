@@ -6,24 +6,26 @@ closed, the file is closed with its status, and the devices are closed. A watchd
 devices are safe.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from leactl.bench.bench import Bench
 from leactl.bench.records import attach_exports, with_run_folders
+from leactl.driver.contract import Confirmation
 from leactl.driver.safe_state import unconfirmed_devices
 from leactl.errors import AcceptanceFailed, SafetyTrip
 from leactl.protocol.plan import SearchLimit
 from leactl.runfile.write.run_info import new_run_id
-from leactl.runner import runs_underway, state_folder
+from leactl.runner import runs_underway
 from leactl.runner.bench_fit import limits_of
 from leactl.runner.channel_limits import ACCEPTANCE, LimitVerdict
 from leactl.runner.flushing import InlineFlush, Recording, ThreadedFlush
-from leactl.runner.latch import Latch, Ready
+from leactl.runner.latch import Latch, OpenLatch
 from leactl.runner.loop import Loop
 from leactl.runner.outcome import Outcome, is_out_of_order, joined, status_of, with_unconfirmed
 from leactl.runner.preparation import admitted, check, locks_of, refuse_latched
@@ -31,9 +33,10 @@ from leactl.runner.progress import Progress
 from leactl.runner.request import Request
 from leactl.runner.run_head import introduce, warn_of_bench, writer_of
 from leactl.runner.runs_underway import Announcement
+from leactl.runner.state_folder import folder_of
 from leactl.runner.stop_requests import OperatorInput, OperatorPrompt, RunControl, StopSource, handled_signals
 from leactl.runner.thermal_admission import Windings
-from leactl.runner.watchdog import Unwatched, beside
+from leactl.runner.watchdog import NoWatchdog, started_watchdog
 from leactl.safety.supervisor import Supervisor
 
 Watch = Callable[[Progress], AbstractContextManager[object]]
@@ -47,12 +50,20 @@ class RunContext:
     bench: Bench
     windings: Windings
     supervisor: Supervisor
-    watchdog: Unwatched
-    latch: Latch | Ready  # set by a trip
+    watchdog: NoWatchdog
+    latch: Latch | OpenLatch  # set by a trip
     control: RunControl
     watch: Watch
     announcement: Announcement
     stays_on: Sequence[str]  # for each supply, the consequence if nobody switches it off
+
+
+class SafeEnd(NamedTuple):
+    """How a run ended, once its devices were made safe."""
+
+    safe: Mapping[str, Confirmation]
+    error: BaseException | None  # that ended the run
+    out_of_order: bool  # whether the bench was latched
 
 
 def execute(
@@ -80,18 +91,20 @@ def execute(
     run_id = request.run_id or new_run_id(request.plan.name, datetime.now(UTC))
     devices = with_run_folders(request.devices, request.directory, run_id if request.in_process else "")
     request = replace(request, run_id=run_id, devices=devices)
-    with locks_of(request) as locks, handled_signals() as stop, ExitStack() as lasting:
-        state = state_folder.place_of(request.bench, request.in_process)
+    with locks_of(request) as locks, handled_signals() as stop, ExitStack() as until_end:
+        state_folder = folder_of(request.bench, request.in_process)
         refuse_latched(request)
-        bench_latch = _held_ready(request, lasting)
-        about = request.bench.name, request.bench_document.name, request.plan.name
+        bench_latch = _opened_latch(request, until_end)
+        run_description = request.bench.name, request.bench_document.name, request.plan.name
         with (
             _watched(request, locks) as watchdog,
-            runs_underway.announced(*about, needed=not request.in_process, place=state) as announcement,
+            runs_underway.announced(
+                *run_description, needed=not request.in_process, folder=state_folder
+            ) as announcement,
         ):
             windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
             request, bench, supervisor, stays_on = admitted(request, windings)
-            for source in (announcement.asked, *stops):
+            for source in (announcement.stop_cause, *stops):
                 stop.add_source(source)
             with windings.remembered(announcement.renew):
                 bench.open()
@@ -118,8 +131,12 @@ def execute(
     return replace(outcome, notes=[*outcome.notes, *not_closed])
 
 
-def _held_ready(request: Request, lasting: ExitStack) -> Latch | Ready:
+def _opened_latch(request: Request, until_end: ExitStack) -> Latch | OpenLatch:
     """Return the latch, opened before the first move if the run has a watchdog; that of a rehearsal is not opened.
+
+    Parameters
+    ----------
+    until_end : closes the latch when the run has ended.
 
     Raises
     ------
@@ -127,71 +144,103 @@ def _held_ready(request: Request, lasting: ExitStack) -> Latch | Ready:
     """
     if not _has_watchdog(request):
         return request.latch
-    ready = Ready(request.latch)
-    lasting.callback(ready.close)
-    return ready
+    latch = OpenLatch(request.latch)
+    until_end.callback(latch.close)
+    return latch
 
 
 def _has_watchdog(request: Request) -> bool:
     return request.realtime or not request.in_process
 
 
-def _watched(request: Request, locks: Sequence[int]) -> AbstractContextManager[Unwatched]:
+def _watched(request: Request, locks: Sequence[int]) -> AbstractContextManager[NoWatchdog]:
     """Return the run's watchdog; it gets no devices that are emulated in this process, which it cannot reach."""
     if not _has_watchdog(request):
-        return nullcontext(Unwatched())
-    return beside(request.bench, [] if request.in_process else request.devices, locks, request.latch)
+        return nullcontext(NoWatchdog())
+    return started_watchdog(request.bench, [] if request.in_process else request.devices, locks, request.latch)
 
 
 def _run(context: RunContext) -> Outcome:
     """Run on an open bench, and make its devices safe in any case."""
-    request, bench, supervisor = context.request, context.bench, context.supervisor
-    windings, watchdog, announcement = context.windings, context.watchdog, context.announcement
-    plan = request.plan
     try:
-        writer = writer_of(request, bench)
-        watchdog.recording(writer.path)
-        announcement.tell(run=str(writer.path.resolve()))
-        paced = request.realtime or not request.in_process
-        flush = ThreadedFlush(writer) if paced else InlineFlush(writer)
-        progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
-        if request.lines is not None:
-            request.lines.begin(progress, run=str(writer.path), protocol=plan.name, bench=request.bench.name)
-            writer.heard = {"steps": request.lines.step, "events": request.lines.event}
-        limits = limits_of(plan, bench)
-        recording = Recording(writer, flush, progress, limits)
-        loop = Loop(plan, bench, supervisor, watchdog, context.control, recording)
+        recording, loop = _prepare_recording(context)
     except BaseException:
-        safe = supervisor.make_safe()
+        safe = context.supervisor.make_safe()
         if unsafe := unconfirmed_devices(safe):
-            watchdog.take_over(unsafe)
-        announcement.tell_safe(safe)
+            context.watchdog.take_over(unsafe)
+        context.announcement.tell_safe(safe)
         raise
-    with _shown(context.watch, progress):
-        error: BaseException | None = None
-        try:
-            introduce(request, windings, writer, bench, context.stays_on)
-            warn_of_bench(request, writer, bench, progress)
-            if announcement.fault:
-                writer.event(0.0, "warning", "runner", announcement.fault)
-            loop.run()
-        except BaseException as caught:  # noqa: BLE001 (whatever ended the run, the bench is made safe before anything else)
-            error = caught
-        watchdog.ending()
-        safe = supervisor.make_safe()
-        unsafe = unconfirmed_devices(safe)
-        windings.end(confirmed=not unsafe)
-        if unsafe:
-            watchdog.take_over(unsafe)
-        else:
-            watchdog.dismiss()
-        if watchdog.verdict():
-            error = joined(SafetyTrip(watchdog.verdict()), error)
-        error = with_unconfirmed(error, safe)
-        out_of_order = error is not None and (bool(unsafe) or is_out_of_order(error))
-        if error is not None and out_of_order:
-            _latch(context.latch, error, writer.path)
-        announcement.tell_safe(safe)
+    with _shown(context.watch, recording.progress):
+        error = _run_loop(context, recording, loop)
+        end = _make_safe_and_latch(context, error, recording.writer.path)
+    return _close_file(context, recording, loop, end)
+
+
+def _prepare_recording(context: RunContext) -> tuple[Recording, Loop]:
+    """Make the run file with what writes to it, and the loop.
+
+    Raises
+    ------
+    RecordingFailed : the run file could not be made.
+    """
+    request, bench, plan = context.request, context.bench, context.request.plan
+    writer = writer_of(request, bench)
+    context.watchdog.tell_recording(writer.path)
+    context.announcement.tell(run=str(writer.path.resolve()))
+    keeps_wall_time = request.realtime or not request.in_process
+    flush = ThreadedFlush(writer) if keeps_wall_time else InlineFlush(writer)
+    progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
+    if request.lines is not None:
+        request.lines.begin(progress, run=str(writer.path), protocol=plan.name, bench=request.bench.name)
+        writer.heard = {"steps": request.lines.step, "events": request.lines.event}
+    recording = Recording(writer, flush, progress, limits_of(plan, bench))
+    return recording, Loop(plan, bench, context.supervisor, context.watchdog, context.control, recording)
+
+
+def _run_loop(context: RunContext, recording: Recording, loop: Loop) -> BaseException | None:
+    """Record what is known before the first cycle and run the loop; return what ended it early."""
+    request, bench, writer, progress = context.request, context.bench, recording.writer, recording.progress
+    try:
+        introduce(request, context.windings, writer, bench, context.stays_on)
+        warn_of_bench(request, writer, bench, progress)
+        if context.announcement.fault:
+            writer.event(0.0, "warning", "runner", context.announcement.fault)
+        loop.run()
+    except BaseException as caught:  # noqa: BLE001 (whatever ended the run, the bench is made safe before anything else)
+        return caught
+    return None
+
+
+def _make_safe_and_latch(context: RunContext, error: BaseException | None, run_path: Path) -> SafeEnd:
+    """Make the devices safe, by the watchdog too if they are not confirmed, and latch a bench that ended out of order.
+
+    Parameters
+    ----------
+    error : what ended the loop early.
+    """
+    watchdog = context.watchdog
+    watchdog.allow_end()
+    safe = context.supervisor.make_safe()
+    unsafe = unconfirmed_devices(safe)
+    context.windings.end(confirmed=not unsafe)
+    if unsafe:
+        watchdog.take_over(unsafe)
+    else:
+        watchdog.dismiss()
+    if watchdog.verdict():
+        error = joined(SafetyTrip(watchdog.verdict()), error)
+    error = with_unconfirmed(error, safe)
+    out_of_order = error is not None and (bool(unsafe) or is_out_of_order(error))
+    if error is not None and out_of_order:
+        _set_latch(context.latch, error, run_path)
+    context.announcement.tell_safe(safe)
+    return SafeEnd(safe, error, out_of_order)
+
+
+def _close_file(context: RunContext, recording: Recording, loop: Loop, end: SafeEnd) -> Outcome:
+    """Record how the run ended, close its file and return the outcome; what fails here is added to the run's error."""
+    bench, writer, flush, progress = context.bench, recording.writer, recording.flush, recording.progress
+    error = end.error
     notes = [progress.view_fault] if progress.view_fault else []
     try:
         flush.stop()
@@ -200,30 +249,47 @@ def _run(context: RunContext) -> Outcome:
     for text in flush.warnings():  # of the last flush, after the last cycle
         writer.event(loop.time, "warning", "recorder", text)
         progress.warnings.append(text)
-    for name, confirmation in safe.items():
+    for name, confirmation in end.safe.items():
         level = "info" if confirmation.safe else "error"
         writer.event(loop.time, level, name, f"safe state: {confirmation.detail}")
     for note in notes:
         writer.event(loop.time, "warning", "view", note)
-    verdicts: list[LimitVerdict] = []
-    if error is None or isinstance(error, AcceptanceFailed):
-        sought = [limit for limit in plan.acceptance if isinstance(limit, SearchLimit)]
-        verdicts = [*limits.verdicts(), *loop.outcomes.verdicts(sought)]
-    for verdict in verdicts:
-        writer.event(loop.time, "info" if verdict.met else "warning", ACCEPTANCE, verdict.summary)
+    verdicts = _record_verdicts(context, recording, loop, error)
     try:
         writer.close(*status_of(error))
         notes += writer.notes()
-        notes += attach_exports(bench.drivers, request.bench_document, writer.path)
+        notes += attach_exports(bench.drivers, context.request.bench_document, writer.path)
     except Exception as failure:  # noqa: BLE001 (as above)
-        if is_out_of_order(failure) and not out_of_order:
-            _latch(context.latch, failure, writer.path)
+        if is_out_of_order(failure) and not end.out_of_order:
+            _set_latch(context.latch, failure, writer.path)
         error = joined(error, failure)
     status, reason = status_of(error)
-    all_notes = [*notes, *(f"warning: {text}" for text in progress.warnings)]
-    reported = {name: known.reported for name, known in bench.provenance.items()}
-    ended = Outcome(writer.path, status, reason, error, safe, loop.time, loop.overruns, all_notes, loop.zeros, verdicts)
-    return replace(ended, reported=reported)
+    return Outcome(
+        path=writer.path,
+        status=status,
+        reason=reason,
+        error=error,
+        safe=end.safe,
+        duration_s=loop.time,
+        overruns=loop.overruns,
+        notes=[*notes, *(f"warning: {text}" for text in progress.warnings)],
+        zeros=loop.zeros,
+        verdicts=verdicts,
+        reported={name: known.reported for name, known in bench.provenance.items()},
+    )
+
+
+def _record_verdicts(
+    context: RunContext, recording: Recording, loop: Loop, error: BaseException | None
+) -> list[LimitVerdict]:
+    """Record and return the verdicts on limits; there are none if anything but a limit has ended the run."""
+    if error is not None and not isinstance(error, AcceptanceFailed):
+        return []
+    sought = [limit for limit in context.request.plan.acceptance if isinstance(limit, SearchLimit)]
+    verdicts = [*recording.limits.verdicts(), *loop.outcomes.verdicts(sought)]
+    for verdict in verdicts:
+        recording.writer.event(loop.time, "info" if verdict.met else "warning", ACCEPTANCE, verdict.summary)
+    return verdicts
 
 
 def _paused(announcement: Announcement, pauses: Sequence[Callable[[], bool]]) -> bool:
@@ -251,9 +317,9 @@ def _shown(watch: Watch, progress: Progress) -> Iterator[None]:
             progress.view_fault = f"the view has failed: {type(error).__name__}: {error}"
 
 
-def _latch(bench: Latch | Ready, error: BaseException, run: Path) -> None:
+def _set_latch(latch: Latch | OpenLatch, error: BaseException, run_path: Path) -> None:
     """Latch the bench with the error that ended a run; a failure to do so is added to that error."""
     try:
-        bench.set(status_of(error)[1], run)
+        latch.set(status_of(error)[1], run_path)
     except Exception as failure:  # noqa: BLE001 (a trip is reported whatever happens to its latch)
         error.add_note(f"THE BENCH IS NOT LATCHED: {failure}")

@@ -18,14 +18,14 @@ if TYPE_CHECKING:  # an emergency stop imports this: nothing heavy comes with it
     from leactl.bench.benchfile import BenchFile
     from leactl.bench.host_checks import HostFinding
 
-MACHINE = "/var/lib/leactl"
-OF_EVERYBODY, OF_ITS_OWNER = 0o666, 0o644
-SHARED_DIRECTORY = 0o1777  # every login may add files, nobody may remove another's
+MACHINE_DIRECTORY = "/var/lib/leactl"
+SHARED_FILE_MODE, OWNER_FILE_MODE = 0o666, 0o644
+SHARED_DIRECTORY_MODE = 0o1777  # every login may add files, nobody may remove another's
 MOST_BYTES = 1 << 16  # of a file of state, most of which have a few hundred
 
 
 @dataclass(frozen=True)
-class Place:
+class StateFolder:
     """A directory of state, with the reason if it should be the one that all users share and is not."""
 
     directory: Path
@@ -62,23 +62,23 @@ def state_directory() -> Path:
         raise InputError("there is no home directory for leactl's state; set LEACTL_STATE to a directory") from None
 
 
-def of_user() -> Place:
-    """Return the place of a user's own state."""
-    return Place(state_directory(), shared=False)
+def of_user() -> StateFolder:
+    """Return the folder of a user's own state."""
+    return StateFolder(state_directory(), shared=False)
 
 
-def of_machine() -> Place:
-    """Return the place of this machine's state for all users; if it is not usable, the user's place with the reason.
+def of_machine() -> StateFolder:
+    """Return the folder of this machine's state for all users; if it is not usable, the user's folder with the reason.
 
     `LEACTL_MACHINE_STATE` stands for /var/lib/leactl in tests of leactl itself.
     """
     directory = _machine_directory()
     fault = _fault_of_shared(directory)
-    return Place(state_directory(), shared=False, fault=fault) if fault else Place(directory, shared=True)
+    return StateFolder(state_directory(), shared=False, fault=fault) if fault else StateFolder(directory, shared=True)
 
 
-def place_of(bench: "BenchFile", in_process: bool) -> Place:
-    """Return the place of a bench's latch and winding memory.
+def folder_of(bench: "BenchFile", in_process: bool) -> StateFolder:
+    """Return the folder of a bench's latch and winding memory.
 
     A bench that another process serves is treated like a real one, unless `LEACTL_STATE` keeps its rehearsals apart.
     """
@@ -86,25 +86,25 @@ def place_of(bench: "BenchFile", in_process: bool) -> Place:
     return of_user() if in_process or separate else of_machine()
 
 
-def places() -> list[Place]:
-    """Return every place that may hold files to read: first the machine's, writable or not, then the user's."""
-    return [Place(_machine_directory(), shared=True), of_user()]
+def folders() -> list[StateFolder]:
+    """Return every folder that may hold files to read: first the machine's, writable or not, then the user's."""
+    return [StateFolder(_machine_directory(), shared=True), of_user()]
 
 
-def reachable() -> tuple[list[Place], list[str]]:
-    """Return the places that can be read, and one line for each that cannot, for callers that must continue."""
-    reached: list[Place] = []
+def reachable() -> tuple[list[StateFolder], list[str]]:
+    """Return the folders that can be read, and one line for each that cannot, for callers that must continue."""
+    reached: list[StateFolder] = []
     faults: list[str] = []
     for shared, directory in ((True, _machine_directory), (False, state_directory)):
         try:
-            place = Place(directory(), shared)
+            folder = StateFolder(directory(), shared)
         except InputError as error:
             faults.append(str(error))
             continue
-        if os.path.lexists(place.runs) and not place.runs.is_dir():
-            faults.append(f"{place.runs}: a directory of runs was expected; what runs there cannot be seen")
+        if os.path.lexists(folder.runs) and not folder.runs.is_dir():
+            faults.append(f"{folder.runs}: a directory of runs was expected; what runs there cannot be seen")
         else:
-            reached.append(place)
+            reached.append(folder)
     return reached, faults
 
 
@@ -115,7 +115,7 @@ def examine() -> "HostFinding":
     directory = _machine_directory()
     locks = "locks in the kernel, shared by all users; trip latches and winding memory in"
     fault = _unusable(directory)
-    if not fault and os.lstat(directory).st_mode & SHARED_DIRECTORY != SHARED_DIRECTORY:
+    if not fault and os.lstat(directory).st_mode & SHARED_DIRECTORY_MODE != SHARED_DIRECTORY_MODE:
         fault = f"{directory}: not every user can write there"
     if not fault or (not os.path.lexists(directory) and os.access(directory.parent, os.W_OK)):  # the first run makes it
         return HostFinding("state", True, False, f"{locks} {directory}, shared by all users")
@@ -143,7 +143,7 @@ def read(path: Path) -> bytes:
     return text
 
 
-def opened(path: Path, shared: bool) -> int:
+def open_file(path: Path, shared: bool) -> int:
     """Open a regular file of state for reading and writing; make it if there is none.
 
     Raises
@@ -153,13 +153,13 @@ def opened(path: Path, shared: bool) -> int:
     path.parent.mkdir(parents=True, exist_ok=True)
     flags = os.O_RDWR | NO_LINK | AT_ONCE | AS_BYTES
     try:
-        descriptor = os.open(path, flags | os.O_CREAT | os.O_EXCL, OF_ITS_OWNER)
+        descriptor = os.open(path, flags | os.O_CREAT | os.O_EXCL, OWNER_FILE_MODE)
     except FileExistsError:
         # without O_CREAT: in a sticky directory the kernel refuses that for another user's file (fs.protected_regular)
         descriptor = os.open(path, flags)
     else:
         if shared:  # on Linux alone
-            os.fchmod(descriptor, OF_EVERYBODY)
+            os.fchmod(descriptor, SHARED_FILE_MODE)
     try:
         _expect_regular(descriptor, path)
     except OSError:
@@ -168,7 +168,7 @@ def opened(path: Path, shared: bool) -> int:
     return descriptor
 
 
-def in_place(descriptor: int, path: Path) -> bool:
+def is_at_path(descriptor: int, path: Path) -> bool:
     """Whether an open file is still the one at its path: not removed, moved or exchanged. Opens nothing."""
     try:
         at_path, opened_file = os.lstat(path), os.fstat(descriptor)
@@ -178,7 +178,7 @@ def in_place(descriptor: int, path: Path) -> bool:
 
 
 def _machine_directory() -> Path:
-    return _absolute("LEACTL_MACHINE_STATE", os.environ.get("LEACTL_MACHINE_STATE") or MACHINE)
+    return _absolute("LEACTL_MACHINE_STATE", os.environ.get("LEACTL_MACHINE_STATE") or MACHINE_DIRECTORY)
 
 
 def _absolute(variable: str, named: str) -> Path:
@@ -191,7 +191,7 @@ def _fault_of_shared(directory: Path) -> str:
     """Make the shared directory if there is none; return why it cannot be used, or an empty string."""
     try:
         directory.mkdir()
-        directory.chmod(SHARED_DIRECTORY)
+        directory.chmod(SHARED_DIRECTORY_MODE)
     except FileExistsError:
         pass
     except OSError as error:

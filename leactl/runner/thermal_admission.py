@@ -14,7 +14,7 @@ from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
 from leactl.protocol.plan import Plan
 from leactl.runner.boot_time import ClockReadings
-from leactl.runner.state_folder import place_of
+from leactl.runner.state_folder import folder_of
 from leactl.runner.thermal_memory import Keeper, Memory, Recalled
 from leactl.runner.watchdog import time_to_end_s
 from leactl.safety.limits import HOTTEST_DEGC
@@ -56,8 +56,10 @@ class Windings:
         self.settings = guard_settings(bench, devices, self.motors)
         limit, ambient = self.settings.limit, self.settings.ambient
         self.names = {role: actuator if role == "test" and actuator else f"{bench.name}.{role}" for role in self.motors}
-        place = place_of(bench, emulated_here)
-        memories = {role: Memory(self.names[role], motor, limit, ambient, place) for role, motor in self.motors.items()}
+        folder = folder_of(bench, emulated_here)
+        memories = {
+            role: Memory(self.names[role], motor, limit, ambient, folder) for role, motor in self.motors.items()
+        }
         self.recalled: dict[str, Recalled] = {
             role: memory.cold() if cold or emulated_here else memory.recall(ClockReadings.now())
             for role, memory in memories.items()
@@ -73,10 +75,10 @@ class Windings:
         self.may_be_left_on({role: known.left_on for role, known in self.recalled.items() if known.left_on is not None})
 
     @contextmanager
-    def remembered(self, beside: Callable[[], None] = lambda: None) -> Iterator[None]:
+    def remembered(self, before_writing: Callable[[], None] = lambda: None) -> Iterator[None]:
         """Write the bounds for the next run until the block is left, and once more at its end.
 
-        `beside` is called before each writing, from the same thread.
+        `before_writing` is called before each writing, from the same thread.
 
         Raises
         ------
@@ -85,7 +87,7 @@ class Windings:
         if self.keeper is None:
             yield
             return
-        self.keeper.beside = beside
+        self.keeper.before_writing = before_writing
         self.keeper.start()
         self.guard.remember(self.keeper.fault)
         try:

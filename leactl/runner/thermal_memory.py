@@ -25,14 +25,14 @@ from leactl.model.motor import Motor
 from leactl.regular_files import write_at
 from leactl.runner import state_folder
 from leactl.runner.boot_time import ClockReadings
-from leactl.runner.state_folder import Place
+from leactl.runner.state_folder import StateFolder
 from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC
 from leactl.safety.thermal.bound import HOUSING, ThermalBound
 from leactl.safety.thermal.box import Array, Box
 
 FORMAT, VERSION = "leactl-thermal", 3
-WRITTEN_EVERY_S = 1.0
-BYTES = 4096  # of a file, so that each writing is one call and covers the previous one
+WRITING_INTERVAL_S = 1.0
+FILE_BYTES = 4096  # so that each writing is one call and covers the previous one
 OVERDUE_S = 10.0  # time without a writing after which a run is ended
 
 
@@ -46,18 +46,18 @@ class Recalled:
 
 
 class Memory:
-    """Stored bounds of one actuator, for one motor at one limit and ambient [degC], in one place of state."""
+    """Stored bounds of one actuator, for one motor at one limit and ambient [degC], in one state folder."""
 
-    def __init__(self, actuator: str, motor: Motor, limit: float, ambient: float, place: Place) -> None:
+    def __init__(self, actuator: str, motor: Motor, limit: float, ambient: float, folder: StateFolder) -> None:
         self.actuator, self._motor, self._limit, self._ambient = actuator, motor, limit, ambient
         self._digest = sha256(motor.model_dump_json().encode()).hexdigest()
-        self._place, self.path = place, place.windings(_file_name(actuator))
-        self._descriptor: int | None = None  # of the file, open from the first writing until `let_go`
+        self._folder, self.path = folder, folder.windings(_file_name(actuator))
+        self._descriptor: int | None = None  # of the file, open from the first writing until `close_file`
 
     def recall(self, now: ClockReadings) -> Recalled:
         """Return the bounds of this actuator at the time `now`; hot where none can be read.
 
-        If several places of state have bounds, since not all users could write to one, the hottest count.
+        If several state folders have bounds, since not all users could write to one, the hottest count.
         """
         recalled = [self._recall(path, now) for path in self._paths()]
         if not recalled:
@@ -68,14 +68,14 @@ class Memory:
 
     @property
     def known(self) -> bool:
-        """Whether any place of state has a file of this actuator."""
+        """Whether any state folder has a file of this actuator."""
         return bool(self._paths())
 
     def _paths(self) -> list[Path]:
-        """Return the files of this actuator in all places of state."""
-        several = self._place.shared or self._place.fault  # a rehearsal keeps its files apart
-        places = [self._place, *(state_folder.places() if several else ())]
-        paths = dict.fromkeys(place.windings(_file_name(self.actuator)) for place in places)
+        """Return the files of this actuator in all state folders."""
+        several = self._folder.shared or self._folder.fault  # a rehearsal keeps its files apart
+        folders = [self._folder, *(state_folder.folders() if several else ())]
+        paths = dict.fromkeys(folder.windings(_file_name(self.actuator)) for folder in folders)
         return [path for path in paths if os.path.lexists(path)]
 
     def _recall(self, path: Path, now: ClockReadings) -> Recalled:
@@ -127,17 +127,17 @@ class Memory:
             "left_on_degC": left_on,
             "nodes_degC": [round(float(value), 4) for value in nodes],
         }
-        text = (json.dumps(body, indent=1) + "\n").encode().ljust(BYTES)
-        if self._descriptor is not None and not state_folder.in_place(self._descriptor, self.path):
-            self.let_go()
+        text = (json.dumps(body, indent=1) + "\n").encode().ljust(FILE_BYTES)
+        if self._descriptor is not None and not state_folder.is_at_path(self._descriptor, self.path):
+            self.close_file()
         if self._descriptor is None:
-            self._descriptor = state_folder.opened(self.path, self._place.shared)
+            self._descriptor = state_folder.open_file(self.path, self._folder.shared)
         if write_at(self._descriptor, text, 0) < len(text):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         if os.fstat(self._descriptor).st_size > len(text):  # another program has written here
             os.ftruncate(self._descriptor, len(text))
 
-    def let_go(self) -> None:
+    def close_file(self) -> None:
         """Close the file that is kept open between writings."""
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is not None:
@@ -205,7 +205,7 @@ class Keeper:
         self._ended = threading.Event()
         self._fault = ""
         self._written = clock()
-        self.beside: Callable[[], None] = lambda: None  # called before each writing of the thread
+        self.before_writing: Callable[[], None] = lambda: None  # called before each writing of the thread
         self.left_on: dict[str, float] = {}  # degC by role, to which a supply may bring a winding if this process dies
         self.seen_off = False  # whether every device has been confirmed safe
         self.doubted = False  # whether a device may still heat the windings after the run
@@ -236,11 +236,11 @@ class Keeper:
         with suppress(OSError):
             self._write(running=self.doubted)
         for memory in self._memories.values():
-            memory.let_go()
+            memory.close_file()
 
     def _keep_on(self) -> None:
-        while not self._ended.wait(WRITTEN_EVERY_S):
-            self.beside()
+        while not self._ended.wait(WRITING_INTERVAL_S):
+            self.before_writing()
             try:
                 self._write(running=True)
             except OSError as error:

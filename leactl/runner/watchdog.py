@@ -23,19 +23,18 @@ from leactl.driver.contract import SAFE_STATE_S
 from leactl.errors import LeactlError
 from leactl.runner.latch import Latch
 
-CYCLES, ALLOWED_NS, FIRED_NS = range(
-    3
-)  # words of the shared memory; an allowed silence of 0 means that the loop is not watched
+# words of the shared memory; an allowed silence of 0 means that the loop is not watched
+CYCLES, ALLOWED_NS, FIRED_NS = range(3)
 WORDS = 3
-CYCLES_ALLOWED = 3  # least silence in cycles: a slow loop does not hang
-READY_S = 20.0  # until the process must be ready: 0.35 s on an idle machine, most of it imports
+LEAST_SILENT_CYCLES = 3  # silence that is allowed in any case, in cycles: a slow loop does not hang
+READY_TIMEOUT_S = 20.0  # for the start of the process: 0.35 s on an idle machine, most of it imports
 GRACE_S = 2.0  # for an orderly end, in addition to the time that the devices may take
 REARM_EVERY_S = 0.5  # of the timer that ends a run whose watchdog has died
 REARMED_WITHIN_CYCLES = 100  # at the latest; the loop checks its watchdog far more often
 LAST_RESORT_S = 15.0  # beyond the time of an orderly end, in which a living watchdog acts before the timer
 
 
-def hung(process: int, silence_ns: int, allowed_ns: int) -> str:
+def standstill_text(process: int, silence_ns: int, allowed_ns: int) -> str:
     """Return the message on a loop that stands still."""
     return (
         f"the control loop of process {process} stood still for {silence_ns * 1e-9:.3f} s;"
@@ -48,7 +47,7 @@ def time_to_end_s(devices: int) -> float:
     return GRACE_S + devices * SAFE_STATE_S
 
 
-class Unwatched:
+class NoWatchdog:
     """No watchdog process, for a run with devices that are emulated in its own process and time."""
 
     allowed_s = math.inf  # longest silence of the loop
@@ -56,13 +55,13 @@ class Unwatched:
     def __init__(self) -> None:
         self.sign: memoryview[int] | list[int] = [0] * WORDS
 
-    def recording(self, path: Path) -> None:
+    def tell_recording(self, path: Path) -> None:
         """Pass on the path of the recording, for the latch."""
 
     def begin(self, period: float) -> None:
         """Begin to watch the loop, with cycles of `period` [s]."""
 
-    def ending(self) -> None:
+    def allow_end(self) -> None:
         """Allow the longer silence in which the devices are made safe after the loop."""
 
     def dismiss(self) -> None:
@@ -80,7 +79,7 @@ class Unwatched:
         return ""
 
 
-class Watchdog(Unwatched):
+class Watchdog(NoWatchdog):
     """The parent's side of the process `leactl.runner.watchdog_process`."""
 
     def __init__(self, file: BenchFile, devices: Sequence[CheckedDevice], locks: Sequence[int], latch: Latch) -> None:
@@ -89,7 +88,7 @@ class Watchdog(Unwatched):
         )
         self._end_ns = round(1e9 * time_to_end_s(len(devices)))
         self._period, self._rearmed_at = 0.0, 0.0
-        self._nowhere = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 (closed with the process's pipes)
+        self._null_file = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 (closed with the process's pipes)
         memory = os.memfd_create("leactl-watchdog")
         try:
             os.ftruncate(memory, 8 * WORDS)
@@ -110,9 +109,9 @@ class Watchdog(Unwatched):
         bench = file.model_dump(mode="json", by_alias=True)  # by the keys of a bench file
         names = [device.name for device in devices]
         orders = {"process": os.getpid(), "bench": bench, "devices": names, "latch": asdict(latch)}
-        self._tell(json.dumps(orders))
+        self._send(json.dumps(orders))
 
-    def _tell(self, line: str) -> None:
+    def _send(self, line: str) -> None:
         """Send one line to the process."""
         pipe = self._process.stdin
         assert pipe is not None
@@ -129,14 +128,16 @@ class Watchdog(Unwatched):
         """
         answers = self._process.stdout
         assert answers is not None
-        ready = select.select([answers], [], [], READY_S)[0]
-        answer = answers.readline().decode(errors="replace").strip() if ready else f"no answer within {READY_S:g} s"
+        ready = select.select([answers], [], [], READY_TIMEOUT_S)[0]
+        answer = (
+            answers.readline().decode(errors="replace").strip() if ready else f"no answer within {READY_TIMEOUT_S:g} s"
+        )
         if answer != "ready":
             raise LeactlError(f"the run's watchdog did not start: {answer or 'it ended without a word'}")
 
-    def recording(self, path: Path) -> None:
+    def tell_recording(self, path: Path) -> None:
         """Pass on the path of the recording, for the latch."""
-        self._tell(f"run {path.absolute()}")
+        self._send(f"run {path.absolute()}")
 
     def begin(self, period: float) -> None:
         """Begin to watch the loop, with cycles of `period` [s].
@@ -145,10 +146,10 @@ class Watchdog(Unwatched):
         itself, so that no run is ended that could have continued.
         """
         self._period = period
-        self.allowed_s = max(self._silence_s, CYCLES_ALLOWED * period)
+        self.allowed_s = max(self._silence_s, LEAST_SILENT_CYCLES * period)
         self._allow(round(1e9 * self.allowed_s))
 
-    def ending(self) -> None:
+    def allow_end(self) -> None:
         """Allow the longer silence in which the devices are made safe after the loop."""
         self._allow(self._end_ns)
 
@@ -167,22 +168,22 @@ class Watchdog(Unwatched):
         self._rearmed_at = time.monotonic()
         last_s = 1e-9 * self._end_ns + LAST_RESORT_S + REARMED_WITHIN_CYCLES * self._period
         with suppress(RuntimeError, MemoryError):  # no memory for a thread now: rearmed at the next call of `fault`
-            faulthandler.dump_traceback_later(last_s, exit=True, file=self._nowhere)
+            faulthandler.dump_traceback_later(last_s, exit=True, file=self._null_file)
 
     def dismiss(self) -> None:
         """End the process in order and wait for its end; harmless if it has ended."""
-        self._part("done")
+        self._send_last("done")
 
     def take_over(self, doubt: str) -> None:
         """Have the process make the devices safe and latch the bench, and wait for its end."""
-        self._part("unsafe " + " ".join(doubt.split()))
+        self._send_last("unsafe " + " ".join(doubt.split()))
 
-    def _part(self, word: str) -> None:
+    def _send_last(self, word: str) -> None:
         """Send a last line, wait for the end of the process, and kill it if it does not end in time."""
         faulthandler.cancel_dump_traceback_later()
         process = self._process
         if process.stdin is not None and not process.stdin.closed:
-            self._tell(word)
+            self._send(word)
             with suppress(BrokenPipeError):
                 process.stdin.close()
         try:
@@ -192,7 +193,7 @@ class Watchdog(Unwatched):
             process.wait()
         if process.stdout is not None:
             process.stdout.close()
-        self._nowhere.close()
+        self._null_file.close()
 
     def fault(self) -> str:
         """Return why the run is no longer watched, empty while it is; rearm the timer of the last resort."""
@@ -204,12 +205,14 @@ class Watchdog(Unwatched):
     def verdict(self) -> str:
         """Return why the watchdog stopped the run; empty if it did not."""
         silence = self.sign[FIRED_NS]
-        return hung(os.getpid(), silence, self.sign[ALLOWED_NS]) if silence else ""
+        return standstill_text(os.getpid(), silence, self.sign[ALLOWED_NS]) if silence else ""
 
 
 @contextmanager
-def beside(file: BenchFile, devices: Sequence[CheckedDevice], locks: Sequence[int], latch: Latch) -> Iterator[Watchdog]:
-    """Have a run watched until the block is left.
+def started_watchdog(
+    file: BenchFile, devices: Sequence[CheckedDevice], locks: Sequence[int], latch: Latch
+) -> Iterator[Watchdog]:
+    """Start the watchdog of a run; it watches until the block is left.
 
     Parameters
     ----------

@@ -21,16 +21,16 @@ from leactl.bench.wiring import MachineWiring
 from leactl.driver.contract import Confirmation
 from leactl.driver.safe_state import make_safe, unconfirmed_devices
 from leactl.errors import LeactlError
-from leactl.runner.latch import Latch, Ready
-from leactl.runner.watchdog import ALLOWED_NS, CYCLES, FIRED_NS, WORDS, hung, time_to_end_s
+from leactl.runner.latch import Latch, OpenLatch
+from leactl.runner.watchdog import ALLOWED_NS, CYCLES, FIRED_NS, WORDS, standstill_text, time_to_end_s
 
 MCL_CURRENT = 1  # <sys/mman.h>
 OOM_SCORE, KILLED_LAST = Path("/proc/self/oom_score_adj"), "-1000"
-LOOKS = 10  # checks within an allowed silence
-IDLE_S = 0.1  # between two checks while the silence is not limited
-KILLED_S = 5.0  # longest wait for the end of a killed process
-SPARE = 16  # descriptors reserved for connections, in case the system has no more by then
-STDERR_S = 0.1  # longest wait until stderr takes a line
+CHECKS_PER_SILENCE = 10  # within an allowed silence
+IDLE_CHECK_S = 0.1  # between two checks while the silence is not limited
+KILL_TIMEOUT_S = 5.0  # longest wait for the end of a killed process
+SPARE_DESCRIPTORS = 16  # descriptors reserved for connections, in case the system has no more by then
+STDERR_TIMEOUT_S = 0.1  # longest wait until stderr takes a line
 
 
 class Inbox:
@@ -89,32 +89,32 @@ def main() -> None:
             wiring = MachineWiring()
             bench = Bench(file, check_devices(file), wiring)
             wiring.load(file.buses.values())
-        spare = [os.open(os.devnull, os.O_RDONLY) for _ in range(SPARE)]
+        spare = [os.open(os.devnull, os.O_RDONLY) for _ in range(SPARE_DESCRIPTORS)]
     except Exception as error:  # noqa: BLE001 (a foreign plug-in may fail in any way; the run is told, and not begun)
         print(f"{type(error).__name__}: {error}".splitlines()[0], flush=True)
         return
     try:
-        latch = Ready(Latch(**orders["latch"]))
+        latch = OpenLatch(Latch(**orders["latch"]))
     except LeactlError as error:
         print(error, flush=True)
         return
-    hold_on()
+    protect_process()
     print("ready", flush=True)
     process = int(orders["process"])
-    cause = watched(process, sign, inbox)
+    cause = watch(process, sign, inbox)
     if cause:
         for descriptor in spare:
             os.close(descriptor)
-        act(latch, bench, process, cause, inbox)
+        stop_and_latch(latch, bench, process, cause, inbox)
     latch.close()
 
 
-def watched(process: int, sign: "memoryview[int]", inbox: Inbox) -> str:
+def watch(process: int, sign: "memoryview[int]", inbox: Inbox) -> str:
     """Watch until the run's end; return the cause of an end that is not orderly, else an empty string."""
     seen, since = -1, 0
     while True:
         allowed = sign[ALLOWED_NS]
-        inbox.wait(allowed * 1e-9 / LOOKS if allowed else IDLE_S)
+        inbox.wait(allowed * 1e-9 / CHECKS_PER_SILENCE if allowed else IDLE_CHECK_S)
         if inbox.unsafe:
             return f"the run ended, and: {inbox.unsafe}"
         if inbox.done:
@@ -126,25 +126,25 @@ def watched(process: int, sign: "memoryview[int]", inbox: Inbox) -> str:
             seen, since = count, now
         elif now - since > allowed:
             sign[FIRED_NS] = now - since
-            return hung(process, now - since, allowed)
+            return standstill_text(process, now - since, allowed)
 
 
-def hold_on() -> None:
+def protect_process() -> None:
     """Ask the kernel to end this process last for lack of memory, and lock its memory, as far as it permits."""
     with suppress(OSError):
         OOM_SCORE.write_text(KILLED_LAST, encoding="ascii")
     ctypes.CDLL(None).mlockall(MCL_CURRENT)  # refused if RLIMIT_MEMLOCK is less than the memory in use
 
 
-def act(latch: Ready, bench: Bench | None, process: int, cause: str, inbox: Inbox) -> None:
+def stop_and_latch(latch: OpenLatch, bench: Bench | None, process: int, cause: str, inbox: Inbox) -> None:
     """Make the devices safe, end the run's process, make them safe again if unconfirmed, and latch the bench."""
     devices = bench.in_order_of_stop if bench else []
-    safe = stopped(bench)
+    safe = stop_devices(bench)
     say(cause)
     if not (inbox.ended or inbox.unsafe):
         end(process, time_to_end_s(len(devices)), inbox)
         if unconfirmed_devices(safe):  # the process may have held a line that allows no second connection
-            safe = stopped(bench)
+            safe = stop_devices(bench)
     for device, confirmation in safe.items():
         say(f"{device}: {confirmation.detail}")
     if unconfirmed_devices(safe):
@@ -155,7 +155,7 @@ def act(latch: Ready, bench: Bench | None, process: int, cause: str, inbox: Inbo
         say(f"THE BENCH IS NOT LATCHED: {error}")
 
 
-def stopped(bench: Bench | None) -> dict[str, Confirmation]:
+def stop_devices(bench: Bench | None) -> dict[str, Confirmation]:
     """Make every device safe over fresh connections, and close these."""
     if bench is None:
         return {}
@@ -170,14 +170,14 @@ def end(process: int, grace_s: float, inbox: Inbox) -> None:
     ask(process, signal.SIGCONT)  # a process stopped by Ctrl-Z can then end itself as well
     until = time.monotonic() + grace_s
     while not (inbox.done or inbox.ended) and time.monotonic() < until:
-        inbox.wait(IDLE_S)
+        inbox.wait(IDLE_CHECK_S)
     if inbox.done or inbox.ended:
         return
     say(f"process {process} does not end by itself and is killed")
     ask(process, signal.SIGKILL)
-    until = time.monotonic() + KILLED_S
+    until = time.monotonic() + KILL_TIMEOUT_S
     while not inbox.ended and time.monotonic() < until:
-        inbox.wait(IDLE_S)
+        inbox.wait(IDLE_CHECK_S)
 
 
 def ask(process: int, number: signal.Signals) -> None:
@@ -189,7 +189,7 @@ def ask(process: int, number: signal.Signals) -> None:
 def say(text: str) -> None:
     """Write one line to stderr if it takes it: a terminal held by Ctrl-S must not delay the end."""
     with suppress(OSError):
-        if select.select([], [2], [], STDERR_S)[1]:
+        if select.select([], [2], [], STDERR_TIMEOUT_S)[1]:
             os.write(2, f"leactl watchdog: {text}\n".encode())
 
 

@@ -19,7 +19,7 @@ from leactl.runner.operators import granted
 from leactl.runner.progress import Progress
 from leactl.runner.request import Request, prepare
 from leactl.runner.stop_requests import OperatorInput, RunControl, StopRequest
-from leactl.runner.watchdog import Unwatched
+from leactl.runner.watchdog import NoWatchdog
 from leactl.safety.supervisor import Axis, Supervisor
 from tests.benchmarks.replay import RehearsedBus
 from tests.runfile.specimen import info
@@ -121,7 +121,7 @@ def prepared(request: Request, wiring: Rehearsal, number: int, flush=FlushByCycl
         request.plan,
         bench,
         supervisor,
-        Unwatched(),
+        NoWatchdog(),
         RunControl(StopRequest(), OperatorInput(), granted),
         Recording(writer, flush(writer), progress, ChannelLimits((), bench.streams(), request.bench.name)),
     )

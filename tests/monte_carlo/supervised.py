@@ -16,7 +16,7 @@ from leactl.runner.operators import granted
 from leactl.runner.progress import Progress
 from leactl.runner.stop_requests import OperatorInput, RunControl, StopRequest
 from leactl.runner.thermal_admission import guard_settings, motors_of
-from leactl.runner.watchdog import Unwatched
+from leactl.runner.watchdog import NoWatchdog
 from leactl.safety.current_tracking import VoltageNeed
 from leactl.safety.supervisor import Axis, Supervisor
 from leactl.safety.thermal.box import Array
@@ -167,7 +167,7 @@ def _loop(plan: Plan, bench: DirectBench, supervisor: Supervisor | Unsupervised)
     limits = ChannelLimits((), bench.streams(), bench.file.name)
     control = RunControl(StopRequest(), OperatorInput(), granted)
     recording = Recording(nothing, nothing, progress, limits)  # type: ignore[arg-type]
-    loop = Loop(plan, bench, supervisor, Unwatched(), control, recording)  # type: ignore[arg-type]
+    loop = Loop(plan, bench, supervisor, NoWatchdog(), control, recording)  # type: ignore[arg-type]
     status, reason = "complete", ""
     try:
         loop.run()

@@ -41,12 +41,12 @@ def test_a_word_that_chooses_no_channel_is_refused():
 def test_a_row_counts_once_and_what_did_not_come_is_nan(progress):
     sampler, camera = ReadingSampler("mine", STREAMS, ["iq", "housing"]), [31.5]
     assert np.isnan(sampler.sample(progress).values).all()
-    progress.values, progress.own, progress.time_s = [0.0, 1.5, 30.0], {"camera": camera}, 1.0
+    progress.values, progress.device_values, progress.time_s = [0.0, 1.5, 30.0], {"camera": camera}, 1.0
     rows = sampler.sample(progress)
     assert (rows.time.tolist(), rows.values.tolist(), rows.units) == ([1.0], [[1.5, 31.5]], ("A", "degC"))
-    progress.values, progress.own, progress.time_s = [0.0, math.nan, 30.0], {"camera": camera}, 2.0
+    progress.values, progress.device_values, progress.time_s = [0.0, math.nan, 30.0], {"camera": camera}, 2.0
     assert np.isnan(sampler.sample(progress).values).all()
-    progress.own = {"camera": [31.5]}  # a reading that is equal to the one before
+    progress.device_values = {"camera": [31.5]}  # a reading that is equal to the one before
     np.testing.assert_array_equal(sampler.sample(progress).values, [[math.nan, 31.5]])
 
 

@@ -138,7 +138,9 @@ def test_a_bent_latch_holds_and_a_reset_clears_it(held, bend, tmp_path):
 
 
 def test_a_bent_winding_memory_is_hot_and_a_new_one_goes_nowhere_else(bend, tmp_path):
-    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state_folder.Place(tmp_path / "state", shared=False))
+    memory = Memory(
+        "rig.test", load_motor("lea")[0], LIMIT, 25.0, state_folder.StateFolder(tmp_path / "state", shared=False)
+    )
     bend(memory.path)
     before = sorted(tmp_path.rglob("*"))
     found = memory.recall(NOW)
@@ -161,7 +163,7 @@ def test_a_bent_file_beside_that_of_a_run_keeps_nobody_from_stopping_it(bend):
         asking = threading.Thread(target=lambda: answers.append(leactl("bench", "stop", "--wait", "0", "--json")))
         asking.start()
         asking.join(60.0)
-        assert run.asked(), kind
+        assert run.stop_cause(), kind
     [done] = answers
     assert done.returncode == 5
     assert done.stdout.count('"bench": "rig"') == 1
@@ -195,9 +197,9 @@ def test_where_the_user_s_runs_are_bent_those_of_the_machine_are_stopped(tmp_pat
     bent = state_folder.of_user().runs
     bent.parent.mkdir(parents=True, exist_ok=True)
     BENT[kind](bent)
-    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, place=state_folder.of_machine()) as run:
+    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, folder=state_folder.of_machine()) as run:
         done = leactl("bench", "stop", "--wait", "0")
-        assert run.asked()
+        assert run.stop_cause()
     assert done.returncode == 5
     assert f"{bent}: a directory of runs was expected" in done.stderr
 
@@ -255,7 +257,7 @@ def test_without_a_home_the_machine_s_runs_are_stopped_all_the_same(tmp_path, mo
         raise RuntimeError("Could not determine home directory.")
 
     monkeypatch.setattr(Path, "home", homeless)
-    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, place=state_folder.of_machine()):
+    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, folder=state_folder.of_machine()):
         runs, faults = runs_underway.running()
     assert [run.bench for run in runs] == ["rig"]
     assert faults == ["there is no home directory for leactl's state; set LEACTL_STATE to a directory"]
@@ -284,7 +286,7 @@ def test_a_run_whose_file_goes_is_found_again(how):
         [found], faults = runs_underway.running()
         assert (found.bench, found.facts()["run"], faults) == ("rig", "here.h5", [])
         found.ask_to_stop()
-        assert run.asked()
+        assert run.stop_cause()
         found.close()
     assert not list(state_folder.of_user().runs.glob("*.run"))
 
@@ -337,7 +339,7 @@ def test_a_bench_that_is_held_without_a_file_is_said_to_be(testbed, holder):
     ids=str,
 )
 def test_a_bent_clock_in_a_memory_is_hot(tmp_path, bent):
-    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state_folder.Place(tmp_path, shared=False))
+    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state_folder.StateFolder(tmp_path, shared=False))
     memory.keep(np.full(3, 40.0), NOW, running=False)
     assert memory.recall(NOW).nodes[0] < 41.0
     kept = json.loads(memory.path.read_text()) | bent
@@ -388,7 +390,7 @@ def test_a_bent_clock_in_a_memory_is_hot(tmp_path, bent):
     ids=str,
 )
 def test_a_bent_memory_of_a_winding_is_hot(tmp_path, bent):
-    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state_folder.Place(tmp_path, shared=False))
+    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state_folder.StateFolder(tmp_path, shared=False))
     memory.keep(np.full(3, 40.0), NOW, running=False)
     kept = json.loads(memory.path.read_text()) | bent
     memory.path.write_text(json.dumps(kept))
@@ -413,7 +415,7 @@ def test_a_bent_memory_of_a_winding_is_hot(tmp_path, bent):
     ],
 )
 def test_a_memory_that_lacks_a_key_is_hot(tmp_path, left_out):
-    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state_folder.Place(tmp_path, shared=False))
+    memory = Memory("rig.test", load_motor("lea")[0], LIMIT, 25.0, state_folder.StateFolder(tmp_path, shared=False))
     memory.keep(np.full(3, 40.0), NOW, running=False)
     kept = json.loads(memory.path.read_text())
     del kept[left_out]
@@ -461,7 +463,7 @@ def test_a_bent_text_in_a_run_s_file_is_stopped_and_moves_no_terminal(key, text)
     with runs_underway.announced("rig", "rig.yaml", "hold", needed=True) as run:
         run.tell(**{key: text})
         done = leactl("bench", "stop", "--wait", "0")
-        assert run.asked()
+        assert run.stop_cause()
     assert done.returncode == 5
     assert "\nbench 'rig': released" not in done.stdout + done.stderr
     assert not {*"\x1b\x07\0\r\u202e"} & {*done.stdout, *done.stderr}

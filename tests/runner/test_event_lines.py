@@ -54,7 +54,7 @@ def test_the_means_of_all_channels_are_a_line_each_second(tmp_path):
     loop = [ChannelSpec("iq", "q_axis_current", "test", "drive"), ChannelSpec("omega", "velocity", "test", "drive")]
     supply = [ChannelSpec("vbus", "bus_voltage", "test", "drive")]
     progress = Progress("spin", 9.0, {"loop": loop, "supply": supply}, [1.25, math.nan])
-    progress.own = {"supply": (29.6,)}
+    progress.device_values = {"supply": (29.6,)}
     with EventLines(tmp_path / "lines") as lines:
         lines.begin(progress, run="run.h5")
         deadline = time.monotonic() + 30.0

@@ -19,7 +19,7 @@ from leactl.runfile.verify.integrity import verify
 from leactl.runfile.write import writer
 from leactl.runner import flushing, latch, state_folder, watchdog_process
 from leactl.runner.boot_time import ClockReadings
-from leactl.runner.latch import BYTES, Ready
+from leactl.runner.latch import LATCH_BYTES, OpenLatch
 from leactl.runner.thermal_memory import Keeper, Memory
 from tests.cli.terminal import COMMAND
 from tests.kills.trial import watchdog_of
@@ -44,7 +44,7 @@ def no_descriptor_left():
 
 @pytest.fixture
 def ready():
-    held = Ready(latch_of("emulated"))
+    held = OpenLatch(latch_of("emulated"))
     yield held
     held.close()
 
@@ -52,17 +52,17 @@ def ready():
 def test_a_latch_that_is_ready_holds_nothing_and_has_its_room(ready):
     assert trip_of("emulated") is None
     path = Path(latch_of("emulated").paths[0])
-    assert path.stat().st_size == BYTES
-    assert path.stat().st_blocks * 512 >= BYTES
+    assert path.stat().st_size == LATCH_BYTES
+    assert path.stat().st_blocks * 512 >= LATCH_BYTES
 
 
 def test_a_latch_that_was_not_set_leaves_no_file():
-    Ready(latch_of("emulated")).close()
+    OpenLatch(latch_of("emulated")).close()
     assert not Path(latch_of("emulated").paths[0]).exists()
 
 
 def test_a_latch_is_set_without_a_descriptor_and_stays(tmp_path):
-    held = Ready(latch_of("emulated"))
+    held = OpenLatch(latch_of("emulated"))
     with no_descriptor_left():
         held.set("too fast", tmp_path)
     held.close()
@@ -104,7 +104,7 @@ def test_a_latch_that_cannot_be_made_ready_moves_nothing(spin, monkeypatch):
 
 
 def test_the_last_writing_of_a_winding_needs_no_descriptor(tmp_path):
-    memory = Memory("rig.test", load_motor("lea")[0], 130.0, 25.0, state_folder.Place(tmp_path, shared=False))
+    memory = Memory("rig.test", load_motor("lea")[0], 130.0, 25.0, state_folder.StateFolder(tmp_path, shared=False))
     now = ClockReadings(1.7e9, "this boot", 5000.0)
     nodes = {"test": np.full(3, 60.0)}
     keeper = Keeper({"test": memory}, lambda: nodes, lambda: now)
@@ -118,7 +118,7 @@ def test_the_last_writing_of_a_winding_needs_no_descriptor(tmp_path):
 
 @pytest.mark.parametrize("how", ["removed", "replaced"])
 def test_a_winding_s_memory_that_went_is_made_anew(tmp_path, how):
-    memory = Memory("rig.test", load_motor("lea")[0], 130.0, 25.0, state_folder.Place(tmp_path, shared=False))
+    memory = Memory("rig.test", load_motor("lea")[0], 130.0, 25.0, state_folder.StateFolder(tmp_path, shared=False))
     now = ClockReadings(1.7e9, "this boot", 5000.0)
     memory.keep(np.full(3, 60.0), now, running=True)
     memory.path.unlink()
@@ -138,7 +138,9 @@ def about(process):
 @pytest.fixture
 def permitted():
     """A process that has done what the kernel permits here."""
-    text = "from leactl.runner.watchdog_process import hold_on; hold_on(); print(1, flush=True); input()"
+    text = (
+        "from leactl.runner.watchdog_process import protect_process; protect_process(); print(1, flush=True); input()"
+    )
     process = subprocess.Popen([sys.executable, "-c", text], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdout.readline() == "1\n"
     yield process
@@ -176,10 +178,10 @@ def test_what_is_in_memory_is_locked_there_and_the_kernel_asked(monkeypatch, tmp
 
     monkeypatch.setattr(watchdog_process.ctypes, "CDLL", lambda name: Library())
     monkeypatch.setattr(watchdog_process, "OOM_SCORE", score)
-    watchdog_process.hold_on()
+    watchdog_process.protect_process()
     assert (asked, score.read_text()) == ([1], "-1000")
     monkeypatch.setattr(watchdog_process, "OOM_SCORE", tmp_path / "none" / "score")
-    watchdog_process.hold_on()
+    watchdog_process.protect_process()
 
 
 # -- the folder of the run's file ------------------------------------------------------------------------------------

@@ -77,10 +77,10 @@ def test_a_real_bench_is_the_machine_s_whatever_the_user_says(machine, testbed, 
 
 def test_a_served_bench_is_the_machine_s_unless_its_state_is_kept_apart(machine, monkeypatch, tmp_path):
     file, _devices, _document = benchfile.load("emulated")
-    assert not state_folder.place_of(file, in_process=False).shared
+    assert not state_folder.folder_of(file, in_process=False).shared
     monkeypatch.delenv("LEACTL_STATE")
-    assert state_folder.place_of(file, in_process=False) == state_folder.Place(machine, shared=True)
-    assert not state_folder.place_of(file, in_process=True).shared
+    assert state_folder.folder_of(file, in_process=False) == state_folder.StateFolder(machine, shared=True)
+    assert not state_folder.folder_of(file, in_process=True).shared
 
 
 def test_windings_of_a_real_bench_are_recalled_by_every_user_the_hottest_of_what_is_known(
@@ -115,7 +115,7 @@ def test_a_directory_that_cannot_be_the_machine_s_is_said_with_what_mends_it(
         machine.mkdir()
         lstat = os.lstat
         monkeypatch.setattr(os, "lstat", lambda path: _of_user_7(lstat(path)) if path == machine else lstat(path))
-    place = state_folder.place_of(benchfile.load(str(testbed))[0], in_process=False)
+    place = state_folder.folder_of(benchfile.load(str(testbed))[0], in_process=False)
     assert (place.directory, place.shared) == (tmp_path / "state", False)
     assert place.fault.startswith(f"{machine}: ")
     finding = state_folder.examine()
@@ -188,7 +188,7 @@ def test_a_latch_that_is_no_plain_file_holds_and_can_be_released(machine, testbe
 @pytest.mark.parametrize("kind", ["pipe", "dangling", "endless", "large", "deep", "folder"])
 def test_a_winding_memory_that_is_no_plain_file_counts_as_hot(testbed, kind):
     file, devices, _document = benchfile.load(str(testbed))
-    bent(state_folder.place_of(file, in_process=False).windings(f"{file.name}.test"), kind)
+    bent(state_folder.folder_of(file, in_process=False).windings(f"{file.name}.test"), kind)
     assert Windings(file, devices).recalled["test"].nodes.tolist() == [130.0] * 3
 
 
@@ -249,9 +249,9 @@ def test_windings_of_one_user_are_kept_on_by_another(open_machine):
 
 @ROOT
 def test_every_user_may_stop_what_runs_on_real_buses(open_machine):
-    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, place=state_folder.of_machine()) as run:
+    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, folder=state_folder.of_machine()) as run:
         assert as_another_user(lambda: runs_underway.running()[0][0].ask_to_stop()) == "None"
-        assert run.asked()
+        assert run.stop_cause()
 
 
 # -- a bench on a real bus ---------------------------------------------------------------------------------------------

@@ -281,7 +281,7 @@ def test_two_actuators_are_kept_side_by_side():
 
 
 def test_a_keeper_that_cannot_write_says_so_once_it_is_overdue(monkeypatch):
-    monkeypatch.setattr(thermal_memory, "WRITTEN_EVERY_S", 3600.0)  # no writing but the first and the last
+    monkeypatch.setattr(thermal_memory, "WRITING_INTERVAL_S", 3600.0)  # no writing but the first and the last
     clock = [NOW]
     with keeping({"test": WARM}, clock) as (keeper, _memories):
         assert keeper.fault() == ""

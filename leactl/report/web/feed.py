@@ -262,7 +262,7 @@ def _quantity(spec: ChannelSpec) -> str:
 
 def newest_values(progress: Progress) -> list[float | None]:
     """Return the newest value of each channel, in the order of `channels`; None where the channel has no number."""
-    rows = {"loop": progress.values, **progress.own}
+    rows = {"loop": progress.values, **progress.device_values}
     values: list[float | None] = []
     for stream, specs in progress.streams.items():
         row = rows.get(stream, ())
