@@ -15,7 +15,7 @@ from leactl.errors import InputError
 from leactl.protocol.plan import Plan, SetSupply
 from leactl.runner.thermal_admission import Windings
 from leactl.safety.supplies import Ending, Levels, at_leads
-from leactl.safety.thermal.bound import BURNT, HOTTEST
+from leactl.safety.thermal.bound import BURNT_DEGC, HOTTEST
 from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.guard import MARGIN_K
 from leactl.safety.thermal.supply_left_on import Endurance, endurance, temperature_reached, trip_level
@@ -60,7 +60,7 @@ class LeftOn:
     def _temperature(self) -> str:
         if math.isinf(self.reached):
             return "temperature not bounded"
-        return f"{self.reached:.0f} degC" if self.reached < BURNT else "above every limit"
+        return f"{self.reached:.0f} degC" if self.reached < BURNT_DEGC else "above every limit"
 
 
 def supplies_left_on(plan: Plan, windings: Windings, bench: Bench) -> list[LeftOn]:
@@ -133,7 +133,7 @@ def _refusal(plan: Plan, windings: Windings, item: LeftOn) -> str:
         remedies.insert(0, f"voltage_V of {volts:g} at the most, where the supply itself takes the current back")
     if not limits.outlives(0.0, 0.0, start.nodes.tolist()):
         remedies = ["a rest before"]
-    heat = f"to {item.reached:.0f} degC, above" if item.reached < BURNT else "far above"
+    heat = f"to {item.reached:.0f} degC, above" if item.reached < BURNT_DEGC else "far above"
     return (
         f"{unattended} {item.voltage:g} V, {item.current:g} A left on may bring its winding {heat} its limit of"
         f" {windings.settings.limit:g} degC; what helps: {', or '.join(remedies)}, or a supply whose own protection"

@@ -14,8 +14,8 @@ from leactl.safety.interlocks import CurrentDisagreement
 from leactl.safety.limits import Limits
 from leactl.safety.watching import Trip
 
-FLOOR = 0.005  # of the bench's limit: accuracy of the zeros of current sensors
-OFF = 8.0  # times the floor, for a drive that is off: no controller removes the zero of its reading
+FLOOR_SHARE = 0.005  # of the bench's limit of the current: accuracy of the zeros of current sensors
+OFF_FLOORS = 8.0  # floors that the current of a drive that is off may read: no controller removes its zero error
 
 
 class VoltageNeed(NamedTuple):
@@ -49,7 +49,7 @@ class CurrentTracking:
     ) -> None:
         self._role, self._motion, self._trip, self._need = role, motion, trip, need
         self._share, self._for_s = settings.share_percent / 100.0, settings.for_s
-        self._floor = settings.floor_A or FLOOR * limits.current_A
+        self._floor = settings.floor_A or FLOOR_SHARE * limits.current_A
         self._available = voltage_ceiling(limits.bus_voltage_low_V, need.winding)
         self._demands: deque[float] = deque(maxlen=MOST_CYCLES_APART + 1)
         self.since, self._cycles = math.nan, 0  # when the present disagreement began, and its cycles
@@ -94,7 +94,7 @@ class CurrentTracking:
             self.since = math.nan
             return
         if not self._motion.engaged:
-            allowed = OFF * self._floor
+            allowed = OFF_FLOORS * self._floor
             if abs(current) <= allowed:
                 self.since = math.nan
                 return

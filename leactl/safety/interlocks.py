@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 from pydantic import AfterValidator, ConfigDict, Discriminator, Field, Tag, model_validator
 
 from leactl.quantities import UNITS, ChannelSpec
-from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC, LONGEST_S, Age, Limits, Positive, trips_by
+from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC, MOST_TRIP_DELAY_S, Age, Limits, Positive, trips_by
 from leactl.yamlblock import Block
 
 NEED_A_TRIP = ("drive_temperature", "housing_temperature")  # no limit of the bench covers them
@@ -20,17 +20,18 @@ VALUES = ("warn", "trip", "warn_low", "warn_high", "trip_low", "trip_high", "rat
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Duration = Annotated[
     float,
-    Field(strict=True, ge=0, allow_inf_nan=False, json_schema_extra={"maximum": LONGEST_S}),
-    AfterValidator(trips_by(LONGEST_S)),
+    Field(strict=True, ge=0, allow_inf_nan=False, json_schema_extra={"maximum": MOST_TRIP_DELAY_S}),
+    AfterValidator(trips_by(MOST_TRIP_DELAY_S)),
 ]
 LONGEST_STUCK_S = 86_400.0  # s, a day: a room's temperature in steps of 1 degC repeats for hours
 Stuck = Annotated[
     Positive, AfterValidator(trips_by(LONGEST_STUCK_S)), Field(json_schema_extra={"maximum": LONGEST_STUCK_S})
 ]
-SHORTEST_S = 1e-4  # between two readings, well below a period of any loop: a rate beyond a range in that never trips
-LARGEST_RATE = 1e7  # per second, of what no limit bounds: a thousand of any unit in `SHORTEST_S`
+# between two readings, well below the period of any loop: a rate above a range over this time never trips
+SHORTEST_INTERVAL_S = 1e-4
+LARGEST_RATE = 1e7  # per second, of what no limit bounds: a thousand of any unit in `SHORTEST_INTERVAL_S`
 LARGEST_FLOOR = 0.05  # of limits.current_A, ten times the default; a drive that is off has eight times the floor
-Place = tuple[str | int, ...]
+BlockPath = tuple[str | int, ...]
 T = TypeVar("T")
 
 
@@ -293,7 +294,7 @@ class Interlocks(Block):
     clock: ClockJump = ClockJump()
     disk_space: DiskSpace = DiskSpace()
 
-    def entries(self) -> Iterator[tuple[str, QuantityLimits, Place]]:
+    def entries(self) -> Iterator[tuple[str, QuantityLimits, BlockPath]]:
         """Yield each entry with its quantity and its place in the block."""
         for quantity in UNITS:
             listed: QuantityLimits | tuple[QuantityLimits, ...] = getattr(self, quantity, ())
@@ -310,7 +311,7 @@ class Interlocks(Block):
         """Return the entries that apply to a channel."""
         return [entry for name, entry, _ in self.entries() if name == quantity and entry.role in (None, role)]
 
-    def beyond(self, limits: Limits) -> list[tuple[Place, str]]:
+    def beyond(self, limits: Limits) -> list[tuple[BlockPath, str]]:
         """Return faults of trips that a limit of the bench precedes, or that never happen, each with its place."""
         faults = [*self._too_fast(limits), *self._too_far(limits)]
         for quantity, entry, place in self.entries():
@@ -326,16 +327,16 @@ class Interlocks(Block):
                     break
         return faults
 
-    def _too_fast(self, limits: Limits) -> Iterator[tuple[Place, str]]:
+    def _too_fast(self, limits: Limits) -> Iterator[tuple[BlockPath, str]]:
         """Yield faults of rates that no reading within the limits can exceed, each with its place in the block."""
         for quantity, entry, place in self.entries():
             low, high = limits.of(quantity) or (-math.inf, math.inf)
-            most = min((high - low) / SHORTEST_S, LARGEST_RATE)
+            most = min((high - low) / SHORTEST_INTERVAL_S, LARGEST_RATE)
             if entry.rate is not None and entry.rate > most:
                 key, unit = _key(entry.unit, "rate"), UNITS[quantity]
                 yield place, f"{key} {entry.rate:g} would never trip; {most:g} {unit} per second or less was expected"
 
-    def _too_far(self, limits: Limits) -> Iterator[tuple[Place, str]]:
+    def _too_far(self, limits: Limits) -> Iterator[tuple[BlockPath, str]]:
         """Yield faults of differences that no readings within the limits can reach, each with its place."""
         allowed = (
             ("current_disagreement", "floor_A", LARGEST_FLOOR * limits.current_A, "5 % of limits.current_A"),
@@ -348,11 +349,11 @@ class Interlocks(Block):
             if value is not None and value > most:
                 yield (check, key), f"{value:g} would never trip; {most:g} ({source}) or less was expected"
 
-    def blind(self, channels: Sequence[ChannelSpec]) -> list[tuple[Place, str]]:
+    def blind(self, channels: Sequence[ChannelSpec]) -> list[tuple[BlockPath, str]]:
         """Return faults of entries without a channel and of temperatures without a trip, each with its place."""
         measured = {(channel.quantity, channel.role) for channel in channels}
         quantities = {quantity for quantity, _role in measured}
-        faults: list[tuple[Place, str]] = []
+        faults: list[tuple[BlockPath, str]] = []
         for quantity, entry, place in self.entries():
             if (quantity, entry.role) not in measured and not (entry.role is None and quantity in quantities):
                 whose = f" of role '{entry.role}'" if entry.role else ""

@@ -12,7 +12,7 @@ LEADS = 2.0  # mean square current of the q axis that heats like a direct curren
 LEAST_CYCLIC_AGE_S = 0.05
 UNKNOWN_AMBIENT_DEGC = 40.0  # what is not told is taken as hot
 COLDEST_DEGC, HOTTEST_DEGC = -40.0, 200.0  # of anything on a bench; above, 25 degC in kelvin would pass for one
-LONGEST_S = 60.0  # s, that a limit or an interlock may wait before it trips
+MOST_TRIP_DELAY_S = 60.0  # s, that a limit or an interlock may wait before it trips
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 
 
@@ -27,7 +27,9 @@ def trips_by(most: float) -> Callable[[float], float]:
     return check
 
 
-Age = Annotated[Positive, AfterValidator(trips_by(LONGEST_S)), Field(json_schema_extra={"maximum": LONGEST_S})]
+Age = Annotated[
+    Positive, AfterValidator(trips_by(MOST_TRIP_DELAY_S)), Field(json_schema_extra={"maximum": MOST_TRIP_DELAY_S})
+]
 
 
 class Limits(Block):

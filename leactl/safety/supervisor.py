@@ -137,7 +137,7 @@ class Supervisor:
         self._witnesses = [*self._by_torque(torque_models or {}), *self._by_voltage()]
         self._due = self._ages_due = -math.inf
         # gathered once: `check` runs in every cycle
-        self._witnessed = [witnesses.logged for witnesses in self._witnesses]
+        self._witnessed = [witnesses.log_with_sources for witnesses in self._witnesses]
         self._judged = [
             (index, item, item.tracking, item.axis.motion, *item.indices, item.panel.look, guard.logs[index])
             for role, item in self._axes.items()

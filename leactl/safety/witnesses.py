@@ -21,11 +21,11 @@ from leactl.safety.interlocks import Interlocks, TorqueDisagreement, VoltageDisa
 from leactl.safety.thermal.box import Array, Box, Range
 from leactl.safety.watching import Panel, Trip
 
-WEAKER = 0.1  # loss of the torque constant by hot magnets (0.1 %/K) and saturation, at the most
-WINDOWS = 3  # in a row that must contradict alike: a blow to the shaft may fall into two of them
-LEAST_CYCLES = 4  # in a window
-STEADY = 0.1  # share of the mean square by which a steady current may swing, or change between two windows
-GLANCE = 4  # every fourth cycle of a long window is checked first: if these agree plainly, the rest is skipped
+TORQUE_CONSTANT_LOSS = 0.1  # by hot magnets (0.1 %/K) and saturation, at the most
+CONTRADICTING_WINDOWS = 3  # in a row, that trip: a blow to the shaft may fall into two of them
+LEAST_WINDOW_CYCLES = 4  # in a window
+STEADY_SHARE = 0.1  # share of the mean square by which a steady current may swing, or change between two windows
+GLANCE_CYCLES = 4  # every fourth cycle of a long window is checked first: if these agree plainly, the rest is skipped
 SENSED_ROLES = {"coupled": ("test", "load"), "locked": ("test",)}  # whose torques pass the sensor, by set-up
 MOST_NAMED = 2  # conventions in a message, the nearest of those that a contradiction allows
 CONVENTIONS = {
@@ -60,7 +60,7 @@ def _magnitudes(low: float, high: float) -> Ends:
 class Currents(NamedTuple):
     """Bounds of a current's magnitude by a second sensor, sample by sample [A], and its sign."""
 
-    way: Array
+    direction: Array
     low: Array
     likely: Array
     high: Array
@@ -96,7 +96,7 @@ class ByTorque:
         # gathered once: `extremes` is computed for every window
         self._coulomb, self._viscous = model.coulomb_friction, model.viscous_damping
         self._less, self._more = 1.0 - 0.01 * settings.share_percent, 1.0 + 0.01 * settings.share_percent
-        self._weakest = model.torque_constant * (1.0 - WEAKER)
+        self._weakest = model.torque_constant * (1.0 - TORQUE_CONSTANT_LOSS)
 
     def currents(self, torque: Array, velocity: Array, before: float, period: float) -> Currents:
         """Return bounds by torques [N*m] and velocities [rad/s], of cycles of `period` [s].
@@ -121,7 +121,7 @@ class ByTorque:
             (magnitude * self._more + uncertainty) / self._weakest,
         )
 
-    def way(self, torque: float, _velocity: float) -> float:
+    def direction(self, torque: float, _velocity: float) -> float:
         """Return a number that is positive where this torque [N*m] belongs to a positive current."""
         return self._sense * torque
 
@@ -172,7 +172,7 @@ class ByVoltage:
             (across + uncertainty) / resistance.low,
         )
 
-    def way(self, voltage: float, velocity: float) -> float:
+    def direction(self, voltage: float, velocity: float) -> float:
         """Return a number that is positive where this voltage [V] drives a positive current at a velocity [rad/s]."""
         return voltage - self._back_emf_constant * velocity
 
@@ -205,11 +205,11 @@ class Account:
 
 
 EVIDENCE, VELOCITY, CURRENTS = range(3)  # columns of a log; the second drive's current comes last
-Logged = tuple[float, float, float, float]  # of one cycle
+LoggedCycle = tuple[float, float, float, float]  # of one cycle
 
 
 class Witnesses:
-    """Trips on the current of a drive that a second sensor contradicts for `WINDOWS` windows in a row.
+    """Trips on the current of a drive that a second sensor contradicts for `CONTRADICTING_WINDOWS` in a row.
 
     Two drives that share the sensor share a shaft too, so that the velocity of the first serves both.
     """
@@ -221,19 +221,19 @@ class Witnesses:
         # one drive's current is logged twice
         first, second = accounts[0], accounts[-1]
         self._sources = evidence, index, first.panel, first.velocity, first.current, second.panel, second.current
-        self._log: list[Logged] = []
+        self._log: list[LoggedCycle] = []
         self._window = self.due = math.inf
         self._began, self._carried_over = 0.0, 0  # s, and rows of the last window that remain in the log
 
     def begin(self, period: float, now: float) -> None:
         """Begin with cycles of `period` [s] at the time `now` [s]."""
-        self._window = max(self._for_s / WINDOWS, LEAST_CYCLES * period)
+        self._window = max(self._for_s / CONTRADICTING_WINDOWS, LEAST_WINDOW_CYCLES * period)
         self._log.clear()
         self._carried_over = 0
         self._began, self.due = now, now + self._window
 
     @property
-    def logged(self) -> tuple[list[Logged], Panel, int, Panel, int, int, Panel, int]:
+    def log_with_sources(self) -> tuple[list[LoggedCycle], Panel, int, Panel, int, int, Panel, int]:
         """The log for each exchange, and its sources: three panels, each with the indices of its values."""
         return self._log, *self._sources
 
@@ -251,12 +251,12 @@ class Witnesses:
         """Judge every account over the window and begin the next one."""
         log = self._log
         cycles = len(log)
-        glanced = log[::GLANCE] if cycles >= GLANCE * GLANCE else log
+        glanced = log[::GLANCE_CYCLES] if cycles >= GLANCE_CYCLES * GLANCE_CYCLES else log
         columns = list(zip(*glanced, strict=True))
         ends = [(min(column), max(column)) for column in columns]
         for current, account in enumerate(self._accounts, start=CURRENTS):
             if not self._plainly_agrees(account, current, columns, ends):
-                self._hold_against(account, current, np.array(log), (now - self._began) / (cycles - self._carried_over))
+                self._judge_window(account, current, np.array(log), (now - self._began) / (cycles - self._carried_over))
         self._carried_over = min(MOST_CYCLES_APART, cycles)
         del log[: -self._carried_over]
         self._began, self.due = now, now + self._window
@@ -271,12 +271,12 @@ class Witnesses:
         smallest, largest = _magnitudes(*ends[current])
         agrees = low <= smallest and largest <= high
         if agrees and low > 0.0:
-            agrees = witness.way(sum(columns[EVIDENCE]), sum(columns[VELOCITY])) * sum(columns[current]) > 0.0
+            agrees = witness.direction(sum(columns[EVIDENCE]), sum(columns[VELOCITY])) * sum(columns[current]) > 0.0
         if agrees:
             account.side = account.windows = AGREES
         return agrees
 
-    def _hold_against(self, account: Account, current: int, rows: Array, period: float) -> None:
+    def _judge_window(self, account: Account, current: int, rows: Array, period: float) -> None:
         """Judge one window; a window with a reading that is no number contradicts nothing."""
         window, squares = rows[self._carried_over :], rows[:, current] ** 2
         read = float(squares[self._carried_over :].mean())
@@ -290,17 +290,17 @@ class Witnesses:
         low, likely, high = (
             float(each @ each) / len(window) for each in (currents.low, currents.likely, currents.high)
         )
-        along = float((currents.way * currents.low) @ window[:, current]) / len(window)
+        along = float((currents.direction * currents.low) @ window[:, current]) / len(window)
         side = TURNED if along < -apart else LESS if low > read + apart else MORE if read > high + apart else AGREES
         changed = False
         if side == MORE:  # a slow second sensor shows too little of a current that swings or changes, never too much
-            side = MORE if float(window[:, current].mean()) ** 2 >= (1.0 - STEADY) * read else AGREES
-            changed = abs(read - account.read) > STEADY * max(read, account.read)
+            side = MORE if float(window[:, current].mean()) ** 2 >= (1.0 - STEADY_SHARE) * read else AGREES
+            changed = abs(read - account.read) > STEADY_SHARE * max(read, account.read)
         account.read = read
         goes_on = side == account.side != AGREES and not changed
         account.windows = account.windows + 1 if goes_on else int(side != AGREES)
         account.side = side
-        if account.windows >= WINDOWS:
+        if account.windows >= CONTRADICTING_WINDOWS:
             self._contradict(account, *(math.sqrt(square) for square in (read, low, likely, high)))
 
     def _contradict(self, account: Account, read: float, low: float, likely: float, high: float) -> None:
@@ -311,7 +311,8 @@ class Witnesses:
             bound, ratio = f"{bound} and the other way", "is a sign turned, "
         self._trip(
             f"{account.label} of {read:.4g} A contradicts {account.witness.label}, by which {likely:.4g} A flow,"
-            f" {bound}, for {WINDOWS * self._window:.3g} s: {ratio}is current_convention right, are both sensors whole?"
+            f" {bound}, for {CONTRADICTING_WINDOWS * self._window:.3g} s: {ratio}is current_convention right, are both"
+            " sensors whole?"
         )
 
 

@@ -18,7 +18,7 @@ from leactl.emulation.plant.phases import lead_squares
 from leactl.emulation.plant.stepped.rig import SteppedRig
 from leactl.errors import InputError
 from leactl.model.thermal_network import ACTIVE_SHARE
-from leactl.safety.thermal.turning import LED_LOOSE
+from leactl.safety.thermal.turning import LEAD_LOOSE_SHARE
 from tests.emulation.five_nodes import AT_REST, TWO_LEADS, settled
 
 LEA = ActuatorParameters()
@@ -100,7 +100,7 @@ def test_parts_of_the_winding_are_those_of_analysis_and_guard():
     winding = ACTIVE_SHARE * active + (1.0 - ACTIVE_SHARE) * inactive
     assert winding == pytest.approx(rig.actuators["test"].winding_temperature, abs=1e-9)
     squares = lead_squares(np.array(81.0))
-    assert squares.max() / squares.sum() == pytest.approx((1.0 + LED_LOOSE) / 3.0)
+    assert squares.max() / squares.sum() == pytest.approx((1.0 + LEAD_LOOSE_SHARE) / 3.0)
 
 
 @pytest.mark.parametrize("plant", [Rig, SteppedRig])

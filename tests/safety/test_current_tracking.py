@@ -7,7 +7,7 @@ import pytest
 
 from leactl.driver.contract import Mode
 from leactl.errors import SafetyTrip
-from leactl.safety.current_tracking import FLOOR, OFF, CurrentTracking, VoltageNeed
+from leactl.safety.current_tracking import FLOOR_SHARE, OFF_FLOORS, CurrentTracking, VoltageNeed
 from leactl.safety.interlocks import CurrentDisagreement
 from tests.safety.rig import LIMITS, Rig
 
@@ -65,11 +65,11 @@ def test_a_current_that_nobody_asked_for_trips_engaged_and_off(make):
 
 def test_the_zero_of_a_drive_that_is_off_is_no_current(make):
     rig = make()
-    reads(rig, 0.99 * OFF * FLOOR * LIMITS.current_A)
+    reads(rig, 0.99 * OFF_FLOORS * FLOOR_SHARE * LIMITS.current_A)
     rig.run(0.6)
 
 
-@pytest.mark.parametrize("agreeing", [0.0, 0.5 * OFF * FLOOR * LIMITS.current_A])
+@pytest.mark.parametrize("agreeing", [0.0, 0.5 * OFF_FLOORS * FLOOR_SHARE * LIMITS.current_A])
 def test_a_disagreement_that_ends_in_time_is_forgotten(make, agreeing):
     rig = make("current_disagreement: {for_s: 0.05}")
     for _ in range(3):

@@ -9,7 +9,7 @@ from leactl.model.continuous_current import STANDING, TURNING, Winding, current_
 from leactl.model.motor import load_motor
 from leactl.model.thermal_network import Conductances
 from leactl.safety.thermal.box import Box
-from leactl.safety.thermal.guarded_currents import HARDEST_A, PEAKS_S, nominal, peaks
+from leactl.safety.thermal.guarded_currents import HIGHEST_CURRENT_A, PEAKS_S, nominal, peaks
 
 AMBIENT = 25.0
 RESISTANCES = ("winding_ambient_resistance", "winding_housing_resistance", "housing_ambient_resistance")
@@ -59,4 +59,4 @@ def test_a_limit_that_no_current_reaches_in_time_leaves_the_hardest_current_that
     motor = load_motor("lea")[0]
     heavy = motor.thermal.model_copy(update={"winding_capacitance": 1e9})
     [one] = peaks(motor.model_copy(update={"thermal": heavy}), AMBIENT, (1.0,))
-    assert one.current.guaranteed == pytest.approx(HARDEST_A)
+    assert one.current.guaranteed == pytest.approx(HIGHEST_CURRENT_A)

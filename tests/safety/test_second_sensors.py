@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from leactl.safety.interlocks import TorqueDisagreement, VoltageDisagreement
 from leactl.safety.thermal.box import Range
-from leactl.safety.witnesses import WEAKER, ByTorque, ByVoltage, TorqueModel
+from leactl.safety.witnesses import TORQUE_CONSTANT_LOSS, ByTorque, ByVoltage, TorqueModel
 from tests.safety.guards import LEA, SETTINGS, guard_of
 
 PERIOD = 0.01
@@ -59,16 +59,16 @@ def test_of_one_steady_sample_the_ends_promise_all_there_is(name, second, veloci
         doubt = MODEL.coulomb_friction.high - MODEL.coulomb_friction.low
         doubt += (MODEL.viscous_damping.high - MODEL.viscous_damping.low) * abs(velocity)
         assert lowest <= found.low[0] + doubt / MODEL.torque_constant
-        assert highest >= found.high[0] - 1.05 * doubt / ((1.0 - WEAKER) * MODEL.torque_constant)
+        assert highest >= found.high[0] - 1.05 * doubt / ((1.0 - TORQUE_CONSTANT_LOSS) * MODEL.torque_constant)
     if velocity == 0.0:
-        assert np.sign(witness.way(second, velocity)) == found.way[0]
+        assert np.sign(witness.direction(second, velocity)) == found.direction[0]
 
 
 def test_a_voltage_tells_of_what_back_emf_leaves_over_the_resistance():
     """3 V at 4 rad/s: 1 V is left, 0.2 V and 0.1 V of it in doubt, over 0.2 to 0.3 ohm."""
     found = WITNESSES["voltage"].currents(np.array([3.0]), np.array([4.0]), 4.0, PERIOD)
     assert WITNESSES["voltage"].label == "test q_axis_voltage"
-    assert found.way[0] == 1.0
+    assert found.direction[0] == 1.0
     assert found.low[0] == pytest.approx(0.7 / 0.3)
     assert found.likely[0] == pytest.approx(1.0 / math.sqrt(0.06))
     assert found.high[0] == pytest.approx(1.3 / 0.2)
@@ -86,7 +86,9 @@ def test_a_torque_tells_of_what_friction_inertia_and_hot_magnets_leave_over_the_
     doubt = 0.5 * (most - least) + MODEL.rotor_inertia * 1.0 / PERIOD + 0.2
     assert found.low[0] == pytest.approx((0.95 * given - doubt) / MODEL.torque_constant)
     assert found.likely[0] == pytest.approx(given / MODEL.torque_constant)
-    assert found.high[0] == pytest.approx((1.05 * given + doubt) / ((1.0 - WEAKER) * MODEL.torque_constant))
+    assert found.high[0] == pytest.approx(
+        (1.05 * given + doubt) / ((1.0 - TORQUE_CONSTANT_LOSS) * MODEL.torque_constant)
+    )
 
 
 def test_the_resistance_of_a_phase_lies_between_the_coldest_it_may_be_and_where_its_bound_stands():

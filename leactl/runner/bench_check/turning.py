@@ -23,7 +23,7 @@ from leactl.runner.drill.emulated import drives
 from leactl.runner.request import Request
 from leactl.runner.thermal_admission import motors_of
 from leactl.safety.cross_checks import TURNING_RAD_S
-from leactl.safety.witnesses import SENSED_ROLES, WEAKER, conventions
+from leactl.safety.witnesses import SENSED_ROLES, TORQUE_CONSTANT_LOSS, conventions
 
 Array = npt.NDArray[np.float64]
 
@@ -291,7 +291,7 @@ class Turning:
             constant, name = self._motors[role].torque_constant, self._drives[role].name
             if fit:
                 relative = (fit[CONSTANT].value / constant, fit[CONSTANT].std / constant)
-                statements[role] = ratio(name, about, *relative, WEAKER)
+                statements[role] = ratio(name, about, *relative, TORQUE_CONSTANT_LOSS)
             else:
                 one_drive = "it takes a shaft that either drive turns, in turn"
                 silent = [self._silence_of("test", "torque"), self._silence_of(role, "q_axis_current", "velocity")]
@@ -329,7 +329,7 @@ class Turning:
             key, advice = "scale_per_V" if by_sensor else "current_convention", f"off by {factor:.4g}"
             constant = f"torque_constant of motor '{self._request.bench.motors[role]}'"  # type: ignore[index]
             advice += f", or {constant} by {factor:.4g}" + (", and so for the other drive" if by_sensor else "")
-        elif abs(size - 1.0) > WEAKER:
+        elif abs(size - 1.0) > TORQUE_CONSTANT_LOSS:
             advice += f"; the scale is off by {size:.4g} as well"
         keys = next((shown.place for shown in device.settings.shown() if by_sensor and shown.quantity == "torque"), ())
         location = ("devices", device.name, "settings", *keys[:2])

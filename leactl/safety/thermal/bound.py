@@ -29,12 +29,12 @@ OTHER_PHASES = 0.55  # weight of the hottest phase in the winding's resistance: 
 GAIN_FACTOR = 1.5  # over what the node would gain or lose in the step at its present rate
 GAIN_FLOOR_K = 1e-3
 NEIGHBOUR_SHARE = 0.01  # of what the fastest node gains in the step: that node warms the others
-WIDENINGS = 6  # of these limits, before the step is halved
+MOST_WIDENINGS = 6  # of these limits, before the step is halved
 MOST_ITERATIONS, SETTLED_K = 2000, 1e-7
-RUNAWAY = 20.0  # most time constants within a step of a temperature that grows exponentially
+MOST_GROWTH_CONSTANTS = 20.0  # time constants within a step, of a temperature that grows exponentially
 STEPPED_REST_S = 60.0  # the first part of a rest, which is stepped; the remainder is bounded in closed form
 SHAPES = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 41)])  # relative excesses of the winding's rise that are tried
-BURNT = 1e4  # degC, the highest temperature that a bound is computed up to
+BURNT_DEGC = 1e4  # degC, the highest temperature that a bound is computed up to
 
 HOTTEST, MEAN, HOUSING = range(3)
 Seconds = TypeVar("Seconds", float, Array)
@@ -149,7 +149,7 @@ class ThermalBound:
         self.state = air + amplitude * shape * np.exp(-rate * (duration - stepped))
 
     def settle(self, squares: Array, aligned: Array, speeds: Array, ambient: float) -> None:
-        """Set the bounds to their steady state under constant heat, or to `BURNT` where none exists.
+        """Set the bounds to their steady state under constant heat, or to `BURNT_DEGC` where none exists.
 
         Arguments are those of `step`.
         """
@@ -158,7 +158,7 @@ class ThermalBound:
         for _ in range(MOST_ITERATIONS):
             constant, slope = self._linear_flows(self.state, self.state, square, share, friction, air)
             converges = slope > 0.0
-            fresh = np.where(converges, np.minimum(constant / np.where(converges, slope, 1.0), BURNT), BURNT)
+            fresh = np.where(converges, np.minimum(constant / np.where(converges, slope, 1.0), BURNT_DEGC), BURNT_DEGC)
             largest_change = float(np.max(np.abs(fresh - self.state)))
             self.state = fresh
             if largest_change < SETTLED_K:
@@ -178,7 +178,7 @@ class ThermalBound:
     def _advance(self, duration: float, square: Array, share: Array, friction: Array, air: Array) -> None:
         """Advance the state by one step, halved where the limits assumed during the step do not hold."""
         factor = np.full_like(square, GAIN_FACTOR)
-        for _ in range(WIDENINGS):
+        for _ in range(MOST_WIDENINGS):
             fresh, ceiling, floor = self._trial_step(duration, square, share, friction, air, factor)
             valid = ((fresh <= ceiling) & (fresh >= floor)).all(axis=0)
             if valid.all():
@@ -198,15 +198,15 @@ class ThermalBound:
         state = self.state
         rate = self._rates(state, square, share, friction, air)
         gains, losses = duration * np.maximum(rate, 0.0), duration * np.minimum(rate, 0.0)
-        ceiling = np.minimum(state + factor * (gains + GAIN_FLOOR_K + NEIGHBOUR_SHARE * gains.max(axis=0)), BURNT)
+        ceiling = np.minimum(state + factor * (gains + GAIN_FLOOR_K + NEIGHBOUR_SHARE * gains.max(axis=0)), BURNT_DEGC)
         floor = state + factor * (losses - GAIN_FLOOR_K + NEIGHBOUR_SHARE * losses.min(axis=0))
         constant, slope = self._linear_flows(ceiling, floor, square, share, friction, air)
         net_heat = constant - slope * state
         capacitance = np.where(net_heat > 0.0, *self._capacitance)
-        decay = np.maximum(slope * duration / capacitance, -RUNAWAY)
+        decay = np.maximum(slope * duration / capacitance, -MOST_GROWTH_CONSTANTS)
         shrink = -np.expm1(-decay) / np.where(decay == 0.0, 1.0, decay)
         shrink[decay == 0.0] = 1.0
-        return np.minimum(state + net_heat * shrink * duration / capacitance, BURNT), ceiling, floor
+        return np.minimum(state + net_heat * shrink * duration / capacitance, BURNT_DEGC), ceiling, floor
 
     def fastest(self, squares: Array, aligned: Array, speeds: Array, ambient: float) -> float:
         """Return the largest rate at which any node warms under such heat [K/s]; arguments are those of `step`."""

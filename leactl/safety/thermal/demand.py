@@ -155,14 +155,14 @@ class Demand:
         Square currents [A^2], shape (roles, moments); lowest electrical speeds and highest speeds [rad/s], shape
         (roles,). The next call continues from the last of these moments.
         """
-        squares, turned, speeds, self.held = self._followed(plan, state, at)
+        squares, turned, speeds, self.held = self._worst_demand(plan, state, at)
         return squares, turned, speeds
 
     def squares(self, plan: Plan, state: PlanState, at: Sequence[float]) -> tuple[Array, Array, Array]:
         """Return the same as `heats` for moments ahead; held torques stay as they are."""
-        return self._followed(plan, state, at)[:3]
+        return self._worst_demand(plan, state, at)[:3]
 
-    def _followed(
+    def _worst_demand(
         self, plan: Plan, state: PlanState, at: Sequence[float]
     ) -> tuple[Array, Array, Array, dict[int, HeldTorque]]:
         """Return square currents, lowest and highest speeds and held torques, the worst over all ends of the state.
@@ -170,17 +170,17 @@ class Demand:
         No setpoint between the ends demands more: the current of its role is largest at one end, and the bounds of the
         torque that another drive holds against it rise with it.
         """
-        courses = [self._followed_at(plan, end, at) for end in state.ends]
+        courses = [self._demand_at(plan, end, at) for end in state.ends]
         squares, turned, speeds, held = courses[0]
         for course in courses[1:]:
             squares, speeds = np.maximum(squares, course[0]), np.maximum(speeds, course[2])
             turned, held = np.minimum(turned, course[1]), either(held, course[3])
         return squares, turned, speeds, held
 
-    def _followed_at(
+    def _demand_at(
         self, plan: Plan, state: PlanState, at: Sequence[float]
     ) -> tuple[Array, Array, Array, dict[int, HeldTorque]]:
-        """Return the same as `_followed` for a state whose setpoints are all known."""
+        """Return the same as `_worst_demand` for a state whose setpoints are all known."""
         currents, most = np.zeros((len(self._roles), len(at))), self._settings.most_current
         speeds, lowest_speeds = self._speeds(plan, state, at)
         accelerations = self._accelerations(plan, state, at)

@@ -19,17 +19,18 @@ from leactl.safety.thermal.bound import LONGEST_STEP_S, ThermalBound, lateness
 from leactl.safety.thermal.box import Array, Box
 from leactl.safety.thermal.demand import Demand, HeldTorque, PlanState, either, states
 from leactl.safety.thermal.guard import MARGIN_K, STEP_S, Budgets, GuardSettings
-from leactl.safety.thermal.turning import LED_LOOSE, detour, largest_acceleration
+from leactl.safety.thermal.turning import LEAD_LOOSE_SHARE, detour, largest_acceleration
 
-PARTS = 10  # samples of a step, where setpoints vary along a line
+STEP_PARTS = 10  # samples of a step, where setpoints vary along a line
 SPEED_FACTORS = np.array([0.95, 1.0, 1.05])  # true speeds over the planned one
-COARSE_K = 2.0  # by which a node may rise in one step, where setpoints are constant
-LONGEST_S = 2.0
-LEAST_S = 1e-6  # rounding error of a sum of steps: a shorter remainder is no step
+MOST_STEP_RISE_K = 2.0  # by which a node may rise in one step, where setpoints are constant
+LONGEST_CONSTANT_STEP_S = 2.0
+SHORTEST_STEP_S = 1e-6  # rounding error of a sum of steps: a shorter remainder is no step
 MOST_WAIT_S = 4 * 3600.0
-WAIT_ROUNDING_S, WAIT_FOUND_TO_S = 5.0, 1.0  # a wait is rounded up to the first and searched for to within the second
-LITTLE, ROUND_HZ = 0.1, 10.0  # largest loose share of a turning rotor's heat, and step that a rate is rounded up to
-FAST = 3.0  # rad of electrical angle in a step, beyond which a speed is treated as this one
+WAIT_ROUNDING_S, WAIT_TOLERANCE_S = 5.0, 1.0  # a wait is rounded up to the first and searched for to within the second
+MOST_LOOSE_SHARE = 0.1  # of a turning rotor's heat
+RATE_ROUNDING_HZ = 10.0  # a rate is rounded up to a multiple
+FAST_RAD = 3.0  # rad of electrical angle in a step, beyond which a speed is treated as this one
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class Foresight:
         """Return the rest [s] that keeps a plan below the limit: 0 if none is needed, None if none is enough."""
         if self.forecast(plan).passing is None:
             return 0.0
-        return _shortest(lambda wait: self.forecast(_waiting(plan, 0, wait)).passing is None)
+        return _shortest_wait(lambda wait: self.forecast(_with_wait(plan, 0, wait)).passing is None)
 
     def _wait_before(self, plan: Plan, passing: Passing) -> tuple[Plan, int] | None:
         """Return the plan with a wait before the hot action, and the index of the wait; None where no wait is enough.
@@ -106,10 +107,10 @@ class Foresight:
 
         def enough(wait: float) -> bool:
             until = passing.action + 2  # the plan is longer by one action
-            return self._forecast_from(_waiting(plan, index, wait), index, until).passing is None
+            return self._forecast_from(_with_wait(plan, index, wait), index, until).passing is None
 
-        seconds = _shortest(enough)
-        return None if seconds is None else (_waiting(plan, index, seconds), index)
+        seconds = _shortest_wait(enough)
+        return None if seconds is None else (_with_wait(plan, index, seconds), index)
 
     def _forecast_from(self, plan: Plan, start: int, until: int | None = None) -> Forecast:
         """Forecast a plan from action `start` until action `until`; before `start` it equals the latest plan."""
@@ -149,7 +150,8 @@ class Foresight:
     def _as_forecast(self, peaks: Mapping[str, float], passing: Passing | None) -> Forecast:
         """Make a forecast; it has a rate where rotors would turn too far in a cycle of the plan."""
         slow = self._turning_from * self._interval > 1.0
-        return Forecast(peaks, passing, ROUND_HZ * math.ceil(self._turning_from / ROUND_HZ) if slow else None)
+        turning_from = RATE_ROUNDING_HZ * math.ceil(self._turning_from / RATE_ROUNDING_HZ)
+        return Forecast(peaks, passing, turning_from if slow else None)
 
     def _pieces(self, plan: Plan, state: PlanState) -> Iterator["_Piece"]:
         """Yield the heat of one action, step by step: no less than the guard will find with steps of its own.
@@ -157,25 +159,29 @@ class Foresight:
         The guard's steps around the ends of an action contain a change of its currents, those in between do not.
         """
         time, self._interval = 0.0, 1.0 / plan.rate_Hz
-        while (remaining := state.duration - time) > LEAST_S:
+        while (remaining := state.duration - time) > SHORTEST_STEP_S:
             guard_step = self._budgets.step(self._budgets.remaining(self._bound.hottest().tolist()))
             if state.constant:
                 heats, turned, speeds = self._demand.heats(plan, state, [0.0])
                 squares = heats[:, 0]
-                aligned, late = self._shared(
-                    turned, guard_step, np.ones((len(turned), PARTS * round(LONGEST_STEP_S / guard_step)))
+                aligned, late = self._best_alignment(
+                    turned, guard_step, np.ones((len(turned), STEP_PARTS * round(LONGEST_STEP_S / guard_step)))
                 )
                 rate = self._bound.fastest(squares, aligned, speeds, self._settings.ambient)
-                step = min(remaining, LONGEST_S, max(COARSE_K / rate if rate > 0.0 else LONGEST_S, 0.01))
-                if state.shortest < state.duration and time >= guard_step - LEAST_S:  # any step may be its last
-                    aligned = _aligned(turned * guard_step)
-                    late = self._late(
+                step = min(
+                    remaining,
+                    LONGEST_CONSTANT_STEP_S,
+                    max(MOST_STEP_RISE_K / rate if rate > 0.0 else LONGEST_CONSTANT_STEP_S, 0.01),
+                )
+                if state.shortest < state.duration and time >= guard_step - SHORTEST_STEP_S:  # any step may be its last
+                    aligned = _alignment_bound(turned * guard_step)
+                    late = self._lateness(
                         np.full(len(aligned), max(0.25 * guard_step, 0.5 * (guard_step - state.duration))), guard_step
                     )
-                elif time < guard_step - LEAST_S or remaining <= guard_step + LEAST_S:
+                elif time < guard_step - SHORTEST_STEP_S or remaining <= guard_step + SHORTEST_STEP_S:
                     # the guard's step in which a current begins or ends counts it as late: most if that is its middle
-                    step, aligned = min(step, guard_step), _aligned(turned * guard_step)
-                    late = self._late(
+                    step, aligned = min(step, guard_step), _alignment_bound(turned * guard_step)
+                    late = self._lateness(
                         np.full(len(aligned), max(0.25 * guard_step, 0.5 * (guard_step - state.duration))), guard_step
                     )
                 else:
@@ -183,30 +189,30 @@ class Foresight:
             else:
                 step = min(remaining, STEP_S)
                 # a list of setpoints is sampled as the loop samples it: it may change between any two cycles
-                parts = max(PARTS, math.ceil(step * plan.rate_Hz - 1e-6)) if state.listed else PARTS
+                parts = max(STEP_PARTS, math.ceil(step * plan.rate_Hz - 1e-6)) if state.listed else STEP_PARTS
                 at = [time + step * (part + 0.5) / parts for part in range(parts)]
                 heats, turned, speeds = self._demand.heats(plan, state, at)
                 squares, steady = np.mean(heats, axis=1), np.min(heats, axis=1)
                 # the least current of a step flows evenly; the current above it may keep step with the rotor
                 even = np.where(squares > 0.0, steady / np.where(squares > 0.0, squares, 1.0), 0.0)
-                aligned = 1.0 - (1.0 - _aligned(turned * step)) * even
-                late = self._late(np.full(len(squares), 0.25 * guard_step), guard_step)
+                aligned = 1.0 - (1.0 - _alignment_bound(turned * step)) * even
+                late = self._lateness(np.full(len(squares), 0.25 * guard_step), guard_step)
                 if remaining > guard_step and not state.listed:  # a list may change between any two cycles
-                    count = PARTS * int(min(LONGEST_STEP_S, remaining) / guard_step + LEAST_S)
-                    ahead = [time + guard_step / PARTS * (part + 0.5) for part in range(count)]
+                    count = STEP_PARTS * int(min(LONGEST_STEP_S, remaining) / guard_step + SHORTEST_STEP_S)
+                    ahead = [time + guard_step / STEP_PARTS * (part + 0.5) for part in range(count)]
                     squares_ahead, turned_ahead, _ = self._demand.squares(plan, state, ahead)
-                    shared, shared_late = self._shared(turned_ahead, guard_step, squares_ahead)
+                    shared, shared_late = self._best_alignment(turned_ahead, guard_step, squares_ahead)
                     better = self._remaining_heat(shared, shared_late) < self._remaining_heat(aligned, late)
                     aligned, late = np.where(better, shared, aligned), np.where(better, shared_late, late)
             if (turning := (squares > 0.0) & (turned * guard_step > 1.0)).any():
-                needed = math.sqrt(float(self._detours[turning].max()) / LITTLE)
+                needed = math.sqrt(float(self._detours[turning].max()) / MOST_LOOSE_SHARE)
                 self._turning_from = max(self._turning_from, needed)
             aligned = np.minimum(aligned + self._detours * self._interval**2, 1.0)
-            aligned[[role in state.leads for role in self._roles]] = LED_LOOSE
+            aligned[[role in state.leads for role in self._roles]] = LEAD_LOOSE_SHARE
             yield _Piece(step, squares, aligned, speeds, late)
             time += step
 
-    def _shared(self, turned: Array, guard_step: float, squares: Array) -> tuple[Array, Array]:
+    def _best_alignment(self, turned: Array, guard_step: float, squares: Array) -> tuple[Array, Array]:
         """Return alignment and delay of the heat of each role, over the span that gives the lowest bound.
 
         Spans of 1, 2, .. steps of the guard are compared, each at the worst of the `SPEED_FACTORS`.
@@ -215,16 +221,16 @@ class Foresight:
         ----------
         turned : electrical speeds [rad/s], shape (roles,), which the drives keep to 5 %.
         guard_step : step of the guard [s].
-        squares : square currents in `PARTS` parts of each step [A^2], shape (roles, steps times PARTS).
+        squares : square currents in `STEP_PARTS` parts of each step [A^2], shape (roles, steps times STEP_PARTS).
         """
-        fast = (turned > FAST / guard_step)[:, None]
-        turned = np.minimum(turned, FAST / guard_step)
-        times = guard_step / PARTS * (np.arange(squares.shape[1]) + 0.5)
-        ends = slice(PARTS - 1, None, PARTS)
-        durations = guard_step * np.arange(1, squares.shape[1] // PARTS + 1)
+        fast = (turned > FAST_RAD / guard_step)[:, None]
+        turned = np.minimum(turned, FAST_RAD / guard_step)
+        times = guard_step / STEP_PARTS * (np.arange(squares.shape[1]) + 0.5)
+        ends = slice(STEP_PARTS - 1, None, STEP_PARTS)
+        durations = guard_step * np.arange(1, squares.shape[1] // STEP_PARTS + 1)
         turns = np.exp(2j * turned[:, None, None] * SPEED_FACTORS[:, None] * times)
         # a rotor that turns far between two parts may keep step with changes of the current: that heat is loose
-        steady = np.repeat(squares.reshape(len(squares), -1, PARTS).min(axis=2), PARTS, axis=1)
+        steady = np.repeat(squares.reshape(len(squares), -1, STEP_PARTS).min(axis=2), STEP_PARTS, axis=1)
         steady = np.where(fast, steady, squares)
         heat, turning, loose = squares[:, None, :], steady[:, None, :] * turns, (squares - steady)[:, None, :]
         total, moment, phasor, phasor_moment, loose_total, loose_moment = (
@@ -239,7 +245,7 @@ class Foresight:
             no_heat, 1.0, np.minimum((np.abs(phasor) + loose_total) / np.where(no_heat, 1.0, total), 1.0)
         )
         mean_delay = np.where(aligned < 1.0, mean_delay, 2.0 * np.maximum(moment - middle * total, 0.0))
-        late = self._late(mean_delay / np.where(no_heat, 1.0, total * (1.0 + aligned)), guard_step, durations)
+        late = self._lateness(mean_delay / np.where(no_heat, 1.0, total * (1.0 + aligned)), guard_step, durations)
         remaining = self._remaining_heat(aligned, late)
         worst = np.argmax(remaining, axis=1)
         span = np.argmin(np.take_along_axis(remaining, worst[:, None, :], axis=1)[:, 0, :], axis=1)
@@ -251,7 +257,7 @@ class Foresight:
         """Return what a hottest phase keeps of its heat, up to one constant factor."""
         return (1.0 + aligned) * (1.0 + late / self._bound.decay_s)
 
-    def _late(self, mean_delay: Array, guard_step: float, durations: Array | None = None) -> Array:
+    def _lateness(self, mean_delay: Array, guard_step: float, durations: Array | None = None) -> Array:
         """Return the `lateness` [s] of heat over spans of these durations, or over single steps of the guard."""
         lengths = np.asarray(guard_step) if durations is None else durations
         return lateness(mean_delay, lengths, self._interval, self._bound.decay_s)
@@ -284,7 +290,7 @@ class _Piece(NamedTuple):
     late: Array
 
 
-def _aligned(turned: Array) -> Array:
+def _alignment_bound(turned: Array) -> Array:
     """Bound |sin x / x| for heat that comes evenly while twice the electrical angle turns by 2 x rad, x = `turned`."""
     return np.asarray(1.0 / np.maximum(turned, 1.0), np.float64)
 
@@ -310,18 +316,18 @@ def _last_at_rest(plan: Plan, before: int) -> int:
     return at_rest
 
 
-def _waiting(plan: Plan, index: int, seconds: float) -> Plan:
+def _with_wait(plan: Plan, index: int, seconds: float) -> Plan:
     """Return the plan with a wait before the action of this index."""
     wait = Segment("cooldown", seconds, seconds, {}, {})
     return replace(plan, actions=(*plan.actions[:index], wait, *plan.actions[index:]))
 
 
-def _shortest(enough: Callable[[float], bool]) -> float | None:
+def _shortest_wait(enough: Callable[[float], bool]) -> float | None:
     """Return the shortest wait [s] that is enough, by bisection and rounded up; None where `MOST_WAIT_S` is not."""
     if not enough(MOST_WAIT_S):
         return None
     low, high = 0.0, MOST_WAIT_S
-    while high - low > WAIT_FOUND_TO_S:
+    while high - low > WAIT_TOLERANCE_S:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if enough(middle) else (middle, high)
     return math.ceil(high / WAIT_ROUNDING_S) * WAIT_ROUNDING_S

@@ -3,9 +3,9 @@
 Heat is the larger of the current that a drive reports and the current that is demanded of it, squared, times the
 measured time between cycles, at the angles that the rotor passed in each. The bound is advanced every `STEP_S` where
 the largest current could take a winding to its limit before the next step, else every `COLD_STEP_S`; budgets of heat
-are checked every `LOOK_S`, or `COLD_LOOK_S`. The bound must hold for some time ahead: a drive that loses its host
-continues with its last current until its own watchdog stops it. The bound is therefore also computed `reserve_s` ahead,
-for the current that flows and a rotor that stands at one electrical angle.
+are checked every `LOOK_INTERVAL_S`, or `COLD_LOOK_INTERVAL_S`. The bound must hold for some time ahead: a drive that
+loses its host continues with its last current until its own watchdog stops it. The bound is therefore also computed
+`reserve_s` ahead, for the current that flows and a rotor that stands at one electrical angle.
 """
 
 import math
@@ -21,7 +21,7 @@ from leactl.safety.thermal.box import PHASE_SHARE, Array, Box, Range
 from leactl.safety.thermal.turning import (
     FIELDS,
     HEAT,
-    LED_LOOSE,
+    LEAD_LOOSE_SHARE,
     VELOCITY,
     Rotor,
     Span,
@@ -29,13 +29,14 @@ from leactl.safety.thermal.turning import (
     largest_acceleration,
 )
 
-LOOK_S, COLD_LOOK_S = 0.01, 0.1
+LOOK_INTERVAL_S, COLD_LOOK_INTERVAL_S = 0.01, 0.1
 STEP_S, COLD_STEP_S = 0.1, 1.0
-LONGEST_LEFT_S, GROWTH = 3600.0, 1.15  # longest time left that is computed, and growth of its steps
+LONGEST_TIME_LEFT_S, STEP_GROWTH = 3600.0, 1.15  # longest time left that is computed, and growth of its steps
 HORIZON_S = 1.0  # time ahead for which the allowed current keeps a winding below its limit
-MARGIN_K = 0.5  # below the limit, at which a bench is stopped: what the largest current heats in LOOK_S
-LITTLE_K_S = 0.05  # warming of a phase that takes two thirds of the heat, below which the heat counts as all loose
-SCALED_K = 1.0  # below the limit, to which a current is scaled, so that a scaled hold is not stopped
+MARGIN_K = 0.5  # below the limit, at which a bench is stopped: what the largest current heats in LOOK_INTERVAL_S
+# K/s, of a phase that takes two thirds of the heat: where it warms more slowly, all heat counts as loose
+LOOSE_WARMING_K_PER_S = 0.05
+SCALING_MARGIN_K = 1.0  # below the limit, to which a current is scaled, so that a scaled hold is not stopped
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,7 @@ class ThermalGuard:
         """Count the heat and advance the bounds where due; return why the bench must stop, or an empty string."""
         if now < self._looked:
             return "the clock of the bench has gone backwards: no bound of a winding's temperature holds"
-        every = LOOK_S if self._step == STEP_S else COLD_LOOK_S
+        every = LOOK_INTERVAL_S if self._step == STEP_S else COLD_LOOK_INTERVAL_S
         self.due = now + every
         self._look(now)
         since = now - self.advanced
@@ -204,7 +205,7 @@ class ThermalGuard:
             self._led_moments[index] += heat * (self._looked - self.advanced + 0.5 * since)
             alone = index in self.undriven
             self.flowing[index] = square if alone else max(self.flowing[index], square)
-            self._standing[index] = LED_LOOSE if alone else 1.0
+            self._standing[index] = LEAD_LOOSE_SHARE if alone else 1.0
         self._looked = now
 
     def _forget(self) -> None:
@@ -223,7 +224,7 @@ class ThermalGuard:
         led = zip(self._led, self._led_moments, strict=True)
         lanes = zip(self.rotors, self.logs, self._squares, led, self._budgets_of.heating, strict=True)
         for rotor, log, square, (through_leads, moment), heating in lanes:
-            if square * heating < LITTLE_K_S * duration:
+            if square * heating < LOOSE_WARMING_K_PER_S * duration:
                 span = rotor.loose_span(square - through_leads, log[VELOCITY::FIELDS], duration)
             else:
                 span = rotor.span(np.reshape(log, (-1, FIELDS)), duration)
@@ -293,17 +294,17 @@ class ThermalGuard:
                     f" {reserved[index]:.1f} degC {settings.reserve_s:g} s on; the limit is {settings.limit:g} degC"
                 )
             self.allowed[role] = math.inf
-            if not at_most[index] < settings.limit - SCALED_K:
+            if not at_most[index] < settings.limit - SCALING_MARGIN_K:
                 least = self._ahead([0.0] * len(self.roles), standing, speeds, HORIZON_S)[index]
                 self.allowed[role] = self._between(least, at_most[index])
         return cause
 
     def _between(self, least: float, most: float) -> float:
-        """Return the current [A] that keeps a winding `SCALED_K` below the limit, linear in its square.
+        """Return the current [A] that keeps a winding `SCALING_MARGIN_K` below the limit, linear in its square.
 
         least, most : temperatures ahead with no current and with the largest one [degC]; the line bounds those between.
         """
-        room = self._settings.limit - SCALED_K - least
+        room = self._settings.limit - SCALING_MARGIN_K - least
         if not (room > 0.0 and math.isfinite(most)):
             return 0.0
         return self._settings.most_current * math.sqrt(min(1.0, room / (most - least)))
@@ -329,9 +330,9 @@ class ThermalGuard:
         bound, speeds = copy(self._bound), list(self._speeds)
         heat = self._twice(list(self.flowing), list(self._standing), speeds)
         times, time, step = dict.fromkeys(self.roles, math.inf), 0.0, STEP_S
-        while time < LONGEST_LEFT_S and math.inf in times.values():
+        while time < LONGEST_TIME_LEFT_S and math.inf in times.values():
             bound.step(step, *heat, self._settings.ambient, late=0.0)
-            time, step = time + step, step * GROWTH
+            time, step = time + step, step * STEP_GROWTH
             for role, hottest in zip(self.roles, bound.hottest(), strict=False):
                 if math.isinf(times[role]) and not hottest < self._settings.limit - MARGIN_K:
                     times[role] = time

@@ -14,11 +14,11 @@ from leactl.model.motor import Motor
 from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Array, Box
 
-STEPS = 400  # of time, up to the longest peak
-CURRENTS = 200
-LEAST_A, HARDEST_A = 0.5, 500.0
-SOONEST_S = 0.02
-FOLLOWED = 0.5  # of the rise to the limit: how far above the limit a current is followed
+TIME_STEPS = 400  # of time, up to the longest peak
+CURRENT_COUNT = 200
+LEAST_CURRENT_A, HIGHEST_CURRENT_A = 0.5, 500.0
+FIRST_STEP_S = 0.02
+FOLLOWED_SHARE = 0.5  # of the rise to the limit: how far above the limit a current is followed
 TURNING, STANDING = 0.0, 1.0
 PEAKS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 60.0, 300.0)
 
@@ -74,8 +74,8 @@ def continuous_current(motor: Motor, ambient: float, aligned: float, speed: floa
     ------
     InputError : the motor file has no tolerances.
     """
-    hottest = settled(ambient, aligned, speed)
-    return Carried(*(at_limit(box, box.limit(math.inf, ambient), ambient, hottest) for box in _boxes(motor)))
+    hottest = settled_temperature(ambient, aligned, speed)
+    return Carried(*(current_at_limit(box, box.limit(math.inf, ambient), ambient, hottest) for box in _boxes(motor)))
 
 
 def continuous(motor: Motor, ambient: float, speeds: Sequence[float]) -> list[ContinuousLimits]:
@@ -98,7 +98,7 @@ def peaks(motor: Motor, ambient: float, durations: Sequence[float]) -> list[Peak
     ------
     InputError : the motor file has no tolerances.
     """
-    by_box = [_held_for(box, ambient, durations) for box in _boxes(motor)]
+    by_box = [_peak_currents(box, ambient, durations) for box in _boxes(motor)]
     currents = [Carried(*values) for values in zip(*by_box, strict=True)]
     return [
         Peak(duration, current, torque(motor, current)) for duration, current in zip(durations, currents, strict=True)
@@ -109,24 +109,26 @@ def nominal(motor: Motor, ambient: float, durations: Sequence[float]) -> Nominal
     """Return the currents by the values of a motor file, which needs no tolerances; ambient in degC, durations in s."""
     box = Box.exact(motor)
     limit, motions = box.limit(math.inf, ambient), (TURNING, STANDING)
-    continuous_currents = [at_limit(box, limit, ambient, settled(ambient, aligned, 0.0)) for aligned in motions]
-    peak_currents = [tuple(_held_for(box, ambient, durations, aligned)) for aligned in motions]
+    continuous_currents = [
+        current_at_limit(box, limit, ambient, settled_temperature(ambient, aligned, 0.0)) for aligned in motions
+    ]
+    peak_currents = [tuple(_peak_currents(box, ambient, durations, aligned)) for aligned in motions]
     return Nominal(continuous_currents[0], continuous_currents[1], peak_currents[0], peak_currents[1])
 
 
-def _held_for(box: Box, ambient: float, durations: Sequence[float], aligned: float = STANDING) -> list[float]:
+def _peak_currents(box: Box, ambient: float, durations: Sequence[float], aligned: float = STANDING) -> list[float]:
     """Return the largest current [A] for each duration [s], by many currents stepped side by side.
 
     Interpolated along a chord between two of them, which lies above the convex temperature over current.
     """
     limit = box.limit(math.inf, ambient)
-    currents = np.geomspace(LEAST_A, HARDEST_A, CURRENTS)
-    bound = ThermalBound([box] * CURRENTS, ambient + box.ambient_rise)
-    speeds, alignments = np.zeros(CURRENTS), np.full(CURRENTS, aligned)
-    beyond = limit + FOLLOWED * (limit - ambient)
-    followed, hottest, last = np.ones(CURRENTS, bool), np.zeros(CURRENTS), 0.0
+    currents = np.geomspace(LEAST_CURRENT_A, HIGHEST_CURRENT_A, CURRENT_COUNT)
+    bound = ThermalBound([box] * CURRENT_COUNT, ambient + box.ambient_rise)
+    speeds, alignments = np.zeros(CURRENT_COUNT), np.full(CURRENT_COUNT, aligned)
+    beyond = limit + FOLLOWED_SHARE * (limit - ambient)
+    followed, hottest, last = np.ones(CURRENT_COUNT, bool), np.zeros(CURRENT_COUNT), 0.0
     by_duration = {}
-    for time in np.union1d(np.geomspace(SOONEST_S, max(durations), STEPS), durations):
+    for time in np.union1d(np.geomspace(FIRST_STEP_S, max(durations), TIME_STEPS), durations):
         bound.step(time - last, np.where(followed, currents, 0.0) ** 2, alignments, speeds, ambient, late=0.0)
         followed &= bound.hottest() < beyond
         hottest, last = np.where(followed, bound.hottest(), np.inf), time
@@ -156,7 +158,7 @@ def torque(motor: Motor, current: Carried) -> Carried:
     return Carried(*(motor.torque_constant * value for value in values))
 
 
-def settled(ambient: float, aligned: float, speed: float) -> Callable[[ThermalBound, float], float]:
+def settled_temperature(ambient: float, aligned: float, speed: float) -> Callable[[ThermalBound, float], float]:
     """Return a function for the temperature at which the hottest phase settles [degC] under a constant current [A].
 
     Ambient in degC, speed in rad/s, `aligned` as in `ThermalBound.step`.
@@ -169,8 +171,8 @@ def settled(ambient: float, aligned: float, speed: float) -> Callable[[ThermalBo
     return hottest
 
 
-def at_limit(box: Box, limit: float, ambient: float, hottest: Callable[[ThermalBound, float], float]) -> float:
-    """Return the current that takes the hottest phase to its limit [A]; 0 if `LEAST_A` takes it there."""
+def current_at_limit(box: Box, limit: float, ambient: float, hottest: Callable[[ThermalBound, float], float]) -> float:
+    """Return the current that takes the hottest phase to its limit [A]; 0 if `LEAST_CURRENT_A` takes it there."""
     from scipy.optimize import brentq
 
     bound = ThermalBound([box], ambient)
@@ -178,10 +180,10 @@ def at_limit(box: Box, limit: float, ambient: float, hottest: Callable[[ThermalB
     def over(current: float) -> float:
         return min(hottest(bound, current), 1e6) - limit
 
-    most = LEAST_A
+    most = LEAST_CURRENT_A
     while over(most) < 0.0:
         most *= 2.0
-    return float(brentq(over, 0.5 * most, most, xtol=1e-4)) if most > LEAST_A else 0.0
+    return float(brentq(over, 0.5 * most, most, xtol=1e-4)) if most > LEAST_CURRENT_A else 0.0
 
 
 def _boxes(motor: Motor) -> tuple[Box, Box, Box]:

@@ -13,7 +13,7 @@ from leactl.safety.thermal.bound import HOUSING
 from leactl.safety.thermal.guard import ThermalGuard
 from leactl.safety.thermal.resistance import LeadResistance
 
-SENSOR_K = 5.0  # by which a camera or a thermistor may read too high
+SENSOR_ERROR_K = 5.0  # by which a camera or a thermistor may read too high
 
 
 class Leads:
@@ -84,7 +84,7 @@ class MeasuredStreams:
 
     def _air(self, index: int, row: Row) -> None:
         ambient = self._guard.ambient
-        most = ambient + min(box.ambient_rise for box in self._guard.boxes.values()) + SENSOR_K
+        most = ambient + min(box.ambient_rise for box in self._guard.boxes.values()) + SENSOR_ERROR_K
         if row.values[index] > most:
             self._trip(
                 f"the air is measured at {row.values[index]:.1f} degC; {most:.1f} degC at the most was expected where"
@@ -102,7 +102,7 @@ class MeasuredStreams:
         self._compare(role, "winding is by its resistance", least, self._guard.hottest[role])
 
     def _compare(self, role: str, part: str, reading: float, bound: float) -> None:
-        if reading > bound + SENSOR_K:
+        if reading > bound + SENSOR_ERROR_K:
             self._trip(
                 f"{role} {part} at {reading:.1f} degC, and no actuator inside its motor file's tolerances"
                 f" can be above {bound:.1f} degC: cooling, tolerances or sensor are not what they are taken to be"

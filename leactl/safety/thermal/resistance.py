@@ -8,8 +8,8 @@ import math
 
 from leactl.safety.thermal.box import Box
 
-LEAST_A = 1.0  # below, offsets are a large part of the current reading
-LASTING_S = 1.0  # voltage and current are not read at one moment: a change of either is no change of resistance
+LEAST_CURRENT_A = 1.0  # below, offsets are a large part of the current reading
+WINDOW_S = 1.0  # whose lowest reading counts: voltage and current are not read at one moment
 
 
 class LeadResistance:
@@ -21,18 +21,18 @@ class LeadResistance:
         self._since, self._least = math.nan, math.inf
 
     def least(self, voltage: float, current: float, now: float) -> float:
-        """Take one reading [V, A, s]; return the lowest temperature that the last `LASTING_S` allow [degC].
+        """Take one reading [V, A, s]; return the lowest temperature that the last `WINDOW_S` allow [degC].
 
-        NaN until that time has passed, and where the current is below `LEAST_A` or a reading is NaN.
+        NaN until that time has passed, and where the current is below `LEAST_CURRENT_A` or a reading is NaN.
         """
-        if not abs(current) >= LEAST_A or voltage != voltage:
+        if not abs(current) >= LEAST_CURRENT_A or voltage != voltage:
             self._since, self._least = math.nan, math.inf
             return math.nan
         if not self._since <= now:
             self._since = now
         warmth = (abs(voltage / current) / self._cold - 1.0) / self._rise
         self._least = min(self._least, self._reference + warmth)
-        if now - self._since < LASTING_S:
+        if now - self._since < WINDOW_S:
             return math.nan
         lowest, self._since, self._least = self._least, now, math.inf
         return lowest

@@ -18,8 +18,8 @@ from leactl.driver.contract import TripAccuracy
 from leactl.safety.limits import LEADS
 from leactl.safety.thermal.bound import HOTTEST, MEAN, OTHER_PHASES, ThermalBound
 from leactl.safety.thermal.box import Box
-from leactl.safety.thermal.guarded_currents import at_limit, settled
-from leactl.safety.thermal.turning import LED_LOOSE
+from leactl.safety.thermal.guarded_currents import current_at_limit, settled_temperature
+from leactl.safety.thermal.turning import LEAD_LOOSE_SHARE
 
 # by which the voltage may differ from its setting; drivers report a larger difference as out of regulation
 VOLTAGE_ERROR_SHARE, VOLTAGE_ERROR_V = 0.03, 0.1
@@ -59,7 +59,7 @@ class Endurance:
 @lru_cache(maxsize=16)
 def endurance(box: Box, limit: float, ambient: float) -> Endurance:
     """Return what two leads endure for ever; limit of the hottest phase and ambient in degC."""
-    current = at_limit(box, limit, ambient, settled(ambient, LED_LOOSE, 0.0)) / LEADS**0.5
+    current = current_at_limit(box, limit, ambient, settled_temperature(ambient, LEAD_LOOSE_SHARE, 0.0)) / LEADS**0.5
     bound = _settled_bound(box, ambient, current)
     return Endurance(
         current=current,
@@ -128,7 +128,7 @@ def _lowest_resistance(box: Box, ambient: float) -> float:
 def _settled_bound(box: Box, ambient: float, current: float) -> ThermalBound:
     """Return the bound in its steady state with a current [A] through two leads."""
     bound = ThermalBound([box], ambient)
-    bound.settle(np.array([LEADS * current**2]), np.array([LED_LOOSE]), np.zeros(1), ambient)
+    bound.settle(np.array([LEADS * current**2]), np.array([LEAD_LOOSE_SHARE]), np.zeros(1), ambient)
     return bound
 
 

@@ -21,9 +21,10 @@ from leactl.model.motor import Motor
 from leactl.safety.thermal.bound import lateness
 from leactl.safety.thermal.box import Array, Box
 
-LED_LOOSE = 0.5  # loose share of heat that two phases take in halves: each takes (1 + 0.5) / 3
-DETOUR = 1.0 / 12.0  # mean distance from a straight line, over the largest second derivative and the square of the time
-WINDOW = 32  # cycles, within which an angle that goes forth and back is noisy
+LEAD_LOOSE_SHARE = 0.5  # loose share of heat that two phases take in halves: each takes (1 + 0.5) / 3
+# mean distance from a straight line, over the largest second derivative and the square of the time
+DETOUR_FACTOR = 1.0 / 12.0
+NOISE_CYCLES = 32  # within which an angle that goes forth and back is noisy
 LEAST_RAD = 1e-9  # stands for a passed angle of 0 in sin(x) / x
 FIELDS, HEAT, VELOCITY = 4, 1, 3  # numbers of a cycle in a log, and the positions of two of them
 
@@ -94,8 +95,8 @@ class Span:
         """
         self.square += heat
         self.square_moment += moment
-        self.loose += LED_LOOSE * heat
-        self.loose_moment += LED_LOOSE * moment
+        self.loose += LEAD_LOOSE_SHARE * heat
+        self.loose_moment += LEAD_LOOSE_SHARE * moment
         if heat > 0.0:
             self.longest_gap = max(self.longest_gap, longest_gap)
 
@@ -125,7 +126,7 @@ def detour(motor: Motor, acceleration: float) -> float:
     In rad over the square of the time between the samples, for a rotor that is accelerated by no more than
     `acceleration` [rad/s^2].
     """
-    return DETOUR * 2.0 * motor.pole_pairs * acceleration
+    return DETOUR_FACTOR * 2.0 * motor.pole_pairs * acceleration
 
 
 def highest_speed(velocities: Sequence[float], most_speed: float) -> float:
@@ -152,7 +153,7 @@ class Rotor:
         self._angle = self._velocity = math.nan  # of the last cycle
         self.path_has_gap = True  # whether the angle by the velocity has a gap in the latest span, or at its beginning
         self._velocity_path = 0.0  # twice the electrical angle by the velocity [rad]
-        self._steps: Array = np.zeros(WINDOW)  # of the angle in the last cycles [rad]
+        self._steps: Array = np.zeros(NOISE_CYCLES)  # of the angle in the last cycles [rad]
         self.motion: SensedMotion | None = None  # in the latest span; None where any angle or velocity is not known
 
     def loose_span(self, square: float, velocities: Sequence[float], duration: float) -> Span:
@@ -166,8 +167,8 @@ class Rotor:
     def span(self, log: Array, duration: float) -> Span:
         """Return the span of some cycles, the first of which follows the last cycle of the previous call.
 
-        An angle that goes forth and back within `WINDOW` cycles is noisy by as much. Where the angle is not known, as
-        at the beginning, or the velocity is not, all heat is loose.
+        An angle that goes forth and back within `NOISE_CYCLES` is noisy by as much. Where the angle is not known, as at
+        the beginning, or the velocity is not, all heat is loose.
 
         Parameters
         ----------
@@ -207,13 +208,13 @@ class Rotor:
         return span
 
     def _travel_back(self, steps: Array) -> Array:
-        """Return the travel without net progress in the `WINDOW` cycles up to each cycle [rad], which is noise."""
+        """Return the travel without net progress in the `NOISE_CYCLES` up to each cycle [rad], which is noise."""
         steps = np.concatenate([self._steps, steps])
-        self._steps = steps[-WINDOW:]
+        self._steps = steps[-NOISE_CYCLES:]
         if steps.min() >= 0.0 or steps.max() <= 0.0:
-            return np.zeros(len(steps) - WINDOW)
+            return np.zeros(len(steps) - NOISE_CYCLES)
         forth, back = (np.concatenate([[0.0], np.cumsum(np.maximum(part, 0.0))]) for part in (steps, -steps))
-        both = np.minimum(forth[WINDOW:] - forth[:-WINDOW], back[WINDOW:] - back[:-WINDOW])
+        both = np.minimum(forth[NOISE_CYCLES:] - forth[:-NOISE_CYCLES], back[NOISE_CYCLES:] - back[:-NOISE_CYCLES])
         return np.asarray(both[1:], np.float64)
 
 
