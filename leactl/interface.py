@@ -225,7 +225,7 @@ def run_protocol(
 
     from leactl.protocol.plan import Prompt
     from leactl.runner.acceptance import judge_all
-    from leactl.runner.operators import granted
+    from leactl.runner.operators import confirm_at_once
     from leactl.runner.request import prepare
     from leactl.runner.session import execute
 
@@ -235,7 +235,7 @@ def run_protocol(
     asks = any(isinstance(action, Prompt) for action in request.plan.actions)
     if asks and request.bench.emulated is None:
         raise InputError(f"protocol '{request.plan.name}' asks the operator; run it by: leactl run {protocol}")
-    outcome = execute(request, granted, lambda _progress: nullcontext())
+    outcome = execute(request, confirm_at_once, lambda _progress: nullcontext())
     acceptance, unmet = judge_all(request.plan, outcome)
     if check and (outcome.error is not None or unmet):
         error = outcome.error or AcceptanceFailed("; ".join(unmet))

@@ -103,7 +103,7 @@ def plan(
         from leactl.bench.wiring import MachineWiring
         from leactl.runner.bench_fit import check_fit, unwitnessed
         from leactl.runner.checked_bench import load_checked
-        from leactl.runner.thermal_admission import Windings, standing
+        from leactl.runner.thermal_admission import Windings, standing_text
         from leactl.runner.unattended_supply import supplies_left_on
         from leactl.safety.plan_checks import check_rate
 
@@ -120,7 +120,7 @@ def plan(
         left_on_texts = [supply.summary for supply in supplies_left_on(expanded, windings, machine_bench)]
         hottest_degc = hottest(forecast)
         if forecast.turning_from_hz is not None:
-            slow_rate_note = f"note: {standing(forecast.turning_from_hz)}; rate_Hz is {expanded.rate_Hz:g}"
+            slow_rate_note = f"note: {standing_text(forecast.turning_from_hz)}; rate_Hz is {expanded.rate_Hz:g}"
         crossing_text = (
             "" if forecast.passing is None else f", up to step '{forecast.passing.step}', where the limit may be passed"
         )

@@ -211,7 +211,7 @@ def perform(request: "Request", heading: str = "", page: "RunPage | None" = None
     from rich.console import Console
 
     from leactl.report.run_progress import live_view
-    from leactl.runner.operators import granted, keyboard
+    from leactl.runner.operators import confirm_at_once, keyboard
     from leactl.runner.progress import Progress
     from leactl.runner.session import execute
 
@@ -234,7 +234,7 @@ def perform(request: "Request", heading: str = "", page: "RunPage | None" = None
             return live_view(progress, console)
 
         stops = [keys.pressed] if page is None else [keys.pressed, page.stop_cause]
-        outcome = execute(request, granted if emulated else keys.ask, watch, stops, [keys.pause_pressed])
+        outcome = execute(request, confirm_at_once if emulated else keys.ask, watch, stops, [keys.pause_pressed])
     if page is not None:
         page.end(outcome.status, outcome.reason, str(outcome.path))
     return outcome

@@ -20,7 +20,7 @@ from rich.text import Text
 from leactl.quantities import ChannelSpec
 from leactl.report.html import without_control_characters
 from leactl.report.terminal import duration, encodable, encoding_of, shows_all
-from leactl.runner.operators import HOW
+from leactl.runner.operators import HOW_TO_ANSWER
 from leactl.runner.progress import Progress
 
 FRAMES_PER_S = 4
@@ -141,7 +141,7 @@ def draw(progress: Progress, width: int, height: int, encoding: str = "utf-8") -
     line_width = width - 1  # some terminals wrap a line that fills them
     messages = [(f"warning: {progress.warnings[-1]}", "bold yellow")] if progress.warnings else []
     if progress.prompt:
-        messages.append((f"{progress.prompt}  {HOW}", "bold yellow"))
+        messages.append((f"{progress.prompt}  {HOW_TO_ANSWER}", "bold yellow"))
     elif progress.hint:
         messages += [(text, "bold") for text in (progress.pause, progress.hint) if text]
     foot = [Text(line, style) for text, style in messages for line in textwrap.wrap(_plain(text, encoding), line_width)]

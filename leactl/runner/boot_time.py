@@ -13,8 +13,8 @@ from pathlib import Path
 
 from leactl.errors import InputError
 
-BOOT = Path("/proc/sys/kernel/random/boot_id")
-PROCESS = secrets.token_hex()  # replaces the identifier of the boot on systems without one
+BOOT_ID_PATH = Path("/proc/sys/kernel/random/boot_id")
+PROCESS_TOKEN = secrets.token_hex()  # replaces the identifier of the boot on systems without one
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class ClockReadings:
         InputError : the kernel's identifier of this boot cannot be read.
         """
         if not hasattr(time, "CLOCK_BOOTTIME"):  # a bench that is emulated on another system rests within one process
-            return cls(time.time(), PROCESS, time.monotonic())
+            return cls(time.time(), PROCESS_TOKEN, time.monotonic())
         return cls(time.time(), _boot(), time.clock_gettime(time.CLOCK_BOOTTIME))
 
     def surely_since(self, earlier: "ClockReadings") -> float:
@@ -65,6 +65,8 @@ class ClockReadings:
 def _boot() -> str:
     """Return the kernel's identifier of this boot, read once, so that the end of a run needs no descriptor for it."""
     try:
-        return BOOT.read_text(encoding="ascii").strip()
+        return BOOT_ID_PATH.read_text(encoding="ascii").strip()
     except OSError as error:
-        raise InputError(f"{BOOT}: {error.strerror or error}; how long a winding rests is counted from boot") from None
+        raise InputError(
+            f"{BOOT_ID_PATH}: {error.strerror or error}; how long a winding rests is counted from boot"
+        ) from None

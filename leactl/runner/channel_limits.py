@@ -17,7 +17,7 @@ from leactl.units import converter
 
 ACCEPTANCE = "acceptance"  # source of the events that record verdicts on limits
 Note = Callable[[str, str], None]  # level and message of an event
-AWAITED = 2  # latest steps of a limit that still take readings: some of the last but one come late
+MOST_OPEN_STEPS = 2  # latest steps of a limit that still take readings: some of the last but one come late
 
 
 @dataclass
@@ -75,7 +75,7 @@ class _Watched:
 
     def take(self, time: float, value: float) -> str:
         """Count a reading; return a message when it breaks the limit for the first time, else an empty string."""
-        window = next((part for part in self.windows[-AWAITED:] if part.start <= time < part.stop), None)
+        window = next((part for part in self.windows[-MOST_OPEN_STEPS:] if part.start <= time < part.stop), None)
         if window is None or not math.isfinite(value):
             return ""
         number = value * self.factor + self.zero

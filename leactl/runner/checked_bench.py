@@ -20,7 +20,7 @@ from leactl.runner.thermal_admission import STOPS_WITHIN_S
 from leactl.safety.thermal.box import Box
 from leactl.yamlfile import Document
 
-HAS_A_PLACE = re.compile(r"\S.*?:\d+:\d+  ")  # file:line:column
+HAS_LOCATION = re.compile(r"\S.*?:\d+:\d+  ")  # file:line:column
 WORST_PHASE = 2.0  # heat of the hottest phase at standstill, over the mean of the three phases
 
 
@@ -87,7 +87,7 @@ def _motors(file: BenchFile, document: Document) -> Mapping[str, Motor]:
             Box.of(motors[role])
         except InputError as error:
             for text in error.faults:
-                line = text if HAS_A_PLACE.match(text) else document.fault(("motors", role), text)
+                line = text if HAS_LOCATION.match(text) else document.fault(("motors", role), text)
                 faults += [line] if line not in faults else []
     if faults:
         raise InputError(faults)

@@ -30,12 +30,12 @@ from leactl.runner.thermal_memory import Recalled
 from leactl.safety.thermal.foresight import Forecast
 
 HEATING, COOLING = "heating_s", "cooling_s"  # parameters of the protocol
-SHARE = 0.9  # of the time at which the forecast passes the limit, that a heat may last
-FALLING = 0.8  # factor to the next shorter heat, while the forecast admits none
-SHORTEST_S = 60.0  # shortest heat that narrows a motor file
-ON = 0.5  # of the largest current, above which a reading counts as heating
-LONGER = 3.0  # longest next heat over the longest so far: a body that warms later shows within it
-CONSTANTS = 2.0  # time constants of the housing, for which a short heat cools
+HEATING_TIME_SHARE = 0.9  # of the time until the forecast passes the limit, that a heat may last
+SHORTENING_FACTOR = 0.8  # to the next shorter heat, while the forecast admits none
+SHORTEST_HEAT_S = 60.0  # that narrows a motor file
+HEATING_CURRENT_SHARE = 0.5  # of the largest current, above which a reading counts as heating
+MOST_HEAT_GROWTH = 3.0  # longest next heat over the longest so far: a body that warms later shows within it
+COOLING_TIME_CONSTANTS = 2.0  # of the housing, for which a short heat cools
 
 Prepare = Callable[[Mapping[str, str]], Request]
 """Returns the request of the protocol, with these parameters replaced."""
@@ -98,21 +98,21 @@ def commission(options: CommissionOptions, file: Path) -> Commissioned:
     _refuse_other(whole)
     _refuse_own(file, whole.bench.motors.values())
     shipped = load_motor(whole.bench.motors["test"])[0]
-    state, paths = _judged(whole, shipped, None), list(options.given)
+    state, paths = _forecast_state(whole, shipped, None), list(options.given)
     if paths:
-        motor = _narrowed(whole, shipped, paths, options)
-        state = state if state.admitted else _written(whole, motor, paths, file)
+        motor = _narrowed_motor(whole, shipped, paths, options)
+        state = state if state.admitted else _store_motor(whole, motor, paths, file)
     options.tell(_state_text(state))
     if options.dry_run:
-        request = whole if state.admitted else _shorter(options, state)
-        dry_run(_by(request, state.file))
-        state.next_heating_s = _heating(request)
+        request = whole if state.admitted else _shortened(options, state)
+        dry_run(_with_motor_file(request, state.file))
+        state.next_heating_s = _heating_time(request)
         return state
     while not state.admitted and len(paths) < options.most - 1:
-        request = _shorter(options, state)
-        paths.append(_heated(request, state, options, len(paths)))
-        heats = [*state.heats, Heat(paths[-1], _heating(request), whole=False)]
-        state = _written(whole, _narrowed(whole, shipped, paths, options), paths, file)
+        request = _shortened(options, state)
+        paths.append(_run_heat(request, state, options, len(paths)))
+        heats = [*state.heats, Heat(paths[-1], _heating_time(request), whole=False)]
+        state = _store_motor(whole, _narrowed_motor(whole, shipped, paths, options), paths, file)
         state.heats = heats
         options.tell(_state_text(state))
     if not state.admitted:
@@ -120,25 +120,27 @@ def commission(options: CommissionOptions, file: Path) -> Commissioned:
             f"protocol '{whole.plan.name}' is not admitted after {len(paths)} heated runs, with {options.most} at most:"
             f" {_state_text(state)}; lower its current, tell the camera's own accuracy, or allow more --runs"
         )
-    state.heats = [*state.heats, Heat(_heated(whole, state, options, len(paths)), _heating(whole), whole=True)]
+    state.heats = [*state.heats, Heat(_run_heat(whole, state, options, len(paths)), _heating_time(whole), whole=True)]
     return state
 
 
-def _heated(request: Request, state: Commissioned, options: CommissionOptions, count: int) -> Path:
+def _run_heat(request: Request, state: Commissioned, options: CommissionOptions, count: int) -> Path:
     """Make one run by the latest motor file; return the path of its recording.
 
     Raises
     ------
     SafetyTrip, DeviceError, Stopped : the run ended early.
     """
-    request = replace(_by(request, state.file), insert_cooldown=True, cold=options.cold and not state.heats)
+    request = replace(
+        _with_motor_file(request, state.file), insert_cooldown=True, cold=options.cold and not state.heats
+    )
     outcome = options.perform(request, f"run {count + 1} of {options.most} at most: ")
     if outcome.error is not None:
         raise outcome.error
     return outcome.path
 
 
-def _heating(request: Request) -> float:
+def _heating_time(request: Request) -> float:
     """Return the duration of the heat in a request [s]."""
     return float(request.plan.parameters[HEATING])
 
@@ -162,16 +164,16 @@ def _refuse_own(file: Path, motors: Iterable[str]) -> None:
         raise InputError(f"--file {file}: is the motor file that the bench names; name another one")
 
 
-def _judged(whole: Request, motor: Motor, file: Path | None) -> Commissioned:
+def _forecast_state(whole: Request, motor: Motor, file: Path | None) -> Commissioned:
     """Return the forecast of the protocol on cold windings, by a motor file; None is the bench's own file."""
-    request = _by(whole, file)
+    request = _with_motor_file(whole, file)
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, cold=True)
     load = whole.bench.motors.get("load", whole.bench.motors["test"])
     forecast, limit = windings.forecast(request.plan), windings.settings.limit
-    return Commissioned(motor, file, _heating(request), forecast, limit, load)
+    return Commissioned(motor, file, _heating_time(request), forecast, limit, load)
 
 
-def _by(request: Request, file: Path | None) -> Request:
+def _with_motor_file(request: Request, file: Path | None) -> Request:
     """Return the request with another motor file for the actuator under test on the same bench."""
     if file is None:
         return request
@@ -181,34 +183,34 @@ def _by(request: Request, file: Path | None) -> Request:
     return replace(request, bench=request.bench.model_copy(update={"motors": motors}))
 
 
-def _shorter(options: CommissionOptions, state: Commissioned) -> Request:
+def _shortened(options: CommissionOptions, state: Commissioned) -> Request:
     """Return the protocol with a heat as long as is admitted, and a cooling long enough to identify the housing.
 
     Raises
     ------
-    InputError : no heat of `SHORTEST_S` or more is admitted.
+    InputError : no heat of `SHORTEST_HEAT_S` or more is admitted.
     """
     whole, passing = options.prepare({}), state.forecast.passing
-    seconds = min(_heating(whole), state.longest_s)
+    seconds = min(_heating_time(whole), state.longest_s)
     if passing is not None:
         heating = max(whole.plan.timeline(), key=lambda row: row.duration_s if row.name == "heating" else 0.0)
-        seconds = min(seconds, SHARE * (passing.time_s - heating.start_s))
+        seconds = min(seconds, HEATING_TIME_SHARE * (passing.time_s - heating.start_s))
     network = state.motor.thermal
     constant = network.housing_capacitance * (network.housing_ambient_resistance + network.winding_housing_resistance)
-    cooling = min(float(whole.plan.parameters[COOLING]), math.ceil(CONSTANTS * constant))
-    while seconds >= SHORTEST_S:
+    cooling = min(float(whole.plan.parameters[COOLING]), math.ceil(COOLING_TIME_CONSTANTS * constant))
+    while seconds >= SHORTEST_HEAT_S:
         request = options.prepare({HEATING: f"{math.floor(seconds)}", COOLING: f"{cooling:g}"})
-        if _judged(request, state.motor, state.file).admitted:
+        if _forecast_state(request, state.motor, state.file).admitted:
             return request
-        seconds *= FALLING
+        seconds *= SHORTENING_FACTOR
     reason = "" if passing is None else f" step '{passing.step}' may take the {passing.role} winding to its limit after"
     reason += "" if passing is None else f" {passing.time_s:.0f} s, and"
     raise InputError(
-        f"protocol '{whole.plan.name}':{reason} no heat of {SHORTEST_S:g} s or more is admitted; lower its current"
+        f"protocol '{whole.plan.name}':{reason} no heat of {SHORTEST_HEAT_S:g} s or more is admitted; lower its current"
     )
 
 
-def _narrowed(whole: Request, shipped: Motor, paths: Sequence[Path], options: CommissionOptions) -> Motor:
+def _narrowed_motor(whole: Request, shipped: Motor, paths: Sequence[Path], options: CommissionOptions) -> Motor:
     with ExitStack() as opened:
         runs = [opened.enter_context(Run.open(path)) for path in paths]
         _refuse_others(runs, whole)
@@ -219,33 +221,33 @@ def _narrowed(whole: Request, shipped: Motor, paths: Sequence[Path], options: Co
         return narrowed(shipped, runs, options.accuracy)
 
 
-def _written(whole: Request, motor: Motor, paths: Sequence[Path], file: Path) -> Commissioned:
+def _store_motor(whole: Request, motor: Motor, paths: Sequence[Path], file: Path) -> Commissioned:
     """Write the motor file of all heats so far, and return the forecast of the protocol by it.
 
     The memory of the windings knows nothing about a new motor file. The bounds by the previous file hold for the new
     one as well, so they are written again.
     """
     with nullcontext() if whole.in_process else locks.held(whole.bench, whole.devices):
-        known = _known(whole, file)
-        _write(file, motor, whole.actuator, paths)
-        request = _by(whole, file)
+        known = _known_bounds(whole, file)
+        _write_motor_file(file, motor, whole.actuator, paths)
+        request = _with_motor_file(whole, file)
         Windings(request.bench, request.devices, request.actuator, request.in_process, recalled=known).keep_as_found()
-    state = _judged(whole, load_motor(str(file))[0], file)
-    state.longest_s = LONGER * max(_heated_s(path) for path in paths)
+    state = _forecast_state(whole, load_motor(str(file))[0], file)
+    state.longest_s = MOST_HEAT_GROWTH * max(_heated_time(path) for path in paths)
     return state
 
 
-def _heated_s(path: Path) -> float:
+def _heated_time(path: Path) -> float:
     """Return how long a run was heated [s]."""
     with Run.open(path) as run:
         current = run.channel("line_current")
-        on = np.abs(current.values) > ON * np.nanmax(np.abs(current.values))
+        on = np.abs(current.values) > HEATING_CURRENT_SHARE * np.nanmax(np.abs(current.values))
         return float(np.sum(np.diff(current.time)[on[1:] & on[:-1]]))
 
 
-def _known(whole: Request, file: Path) -> Mapping[str, Recalled]:
+def _known_bounds(whole: Request, file: Path) -> Mapping[str, Recalled]:
     """Return the lower bounds that the memory has by the bench's own motor file and by an earlier narrowed file."""
-    requests = [whole, *([_by(whole, file)] if file.exists() else [])]
+    requests = [whole, *([_with_motor_file(whole, file)] if file.exists() else [])]
     recalled = [Windings(known.bench, known.devices, known.actuator, known.in_process).recalled for known in requests]
     return {
         role: min((known[role] for known in recalled), key=lambda known: float(known.nodes[0])) for role in recalled[0]
@@ -266,7 +268,7 @@ def _refuse_others(runs: Sequence[Run], whole: Request) -> None:
         raise InputError(faults)
 
 
-def _write(file: Path, motor: Motor, actuator: str, paths: Sequence[Path]) -> None:
+def _write_motor_file(file: Path, motor: Motor, actuator: str, paths: Sequence[Path]) -> None:
     header = [
         f"# Actuator {actuator}, commissioned {datetime.now(UTC):%Y-%m-%d} by `leactl thermal commission` from",
         *(f"#   {path.name}" for path in paths),

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from leactl.protocol.plan import LEAST_SAMPLES, Until
 
-PARTS = 10  # of a window; the statistic is judged at the end of each part
+WINDOW_PARTS = 10  # the statistic is judged at the end of each part
 
 
 class Moments(NamedTuple):
@@ -62,8 +62,8 @@ class Judge:
 
     def __init__(self, until: Until, start: float) -> None:
         self._until, self._start = until, start
-        self._part, self._part_s = Moments(), until.window_s / PARTS
-        self._parts: deque[Moments] = deque(maxlen=PARTS)
+        self._part, self._part_s = Moments(), until.window_s / WINDOW_PARTS
+        self._parts: deque[Moments] = deque(maxlen=WINDOW_PARTS)
         self.latest = math.nan  # statistic of the last window that was judged
 
     def receive(self, time: float, value: float) -> None:
@@ -84,7 +84,7 @@ class Judge:
             self._start += self._part_s
             self._parts.append(self._part)
             self._part = Moments()
-        if not part_ended or len(self._parts) < PARTS:
+        if not part_ended or len(self._parts) < WINDOW_PARTS:
             return False
         window = Moments()
         for part in self._parts:

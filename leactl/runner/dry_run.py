@@ -11,7 +11,7 @@ from leactl.quantities import ChannelSpec
 from leactl.runner import state_folder
 from leactl.runner.bench_fit import unwitnessed
 from leactl.runner.preparation import (
-    admitted,
+    admit,
     bench_of,
     check,
     locks_of,
@@ -50,7 +50,7 @@ def preview(request: Request) -> Preview:
     check(request)
     request.latch.refuse()
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, cold=True)
-    ready = admitted(request, windings)
+    ready = admit(request, windings)
     plan = ready.request.plan
     return Preview(plan, windings.forecast(plan), room_needed(request, ready.bench))
 
@@ -60,7 +60,7 @@ def streams_of(request: Request) -> Mapping[str, tuple[ChannelSpec, ...]]:
     return bench_of(request).streams()
 
 
-def failures(request: Request) -> dict[str, str]:
+def opening_failures(request: Request) -> dict[str, str]:
     """Open each device alone, make it safe and close it; return, by name, why it could not be opened.
 
     The text is empty for a device that was opened.
@@ -113,7 +113,7 @@ def dry_run(request: Request) -> DryRun:
     with locks_of(request):
         refuse_latched(request)
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
-    ready = admitted(request, windings)
+    ready = admit(request, windings)
     plan, bench = ready.request.plan, ready.bench
     warnings = [f"{name}: {text}" for name, text in overdue(request.devices).items()]
     if fault := state_folder.folder_of(request.bench, request.in_process).fault:

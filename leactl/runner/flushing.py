@@ -17,9 +17,9 @@ from leactl.runner.channel_limits import ChannelLimits
 from leactl.runner.progress import Progress
 from leactl.safety.disk import free_bytes
 
-FLUSH_S = 0.8  # a kill may cost one second of rows (run-format), part of which the writing itself takes
-PROMISED_S = 1.0  # longest time from one flush to the next, by the run format
-QUIET_S = 60.0  # at most one warning of a slow disk in this time
+FLUSH_INTERVAL_S = 0.8  # a kill may cost one second of rows (run-format), part of which the writing itself takes
+PROMISED_FLUSH_S = 1.0  # longest time from one flush to the next, by the run format
+WARNING_INTERVAL_S = 60.0  # at most one warning of a slow disk in this time
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class InlineFlush:
         if time.monotonic() >= self._due:
             self._writer.flush()
             self.free_bytes = free_bytes(self._writer.path)
-            self._due = time.monotonic() + FLUSH_S
+            self._due = time.monotonic() + FLUSH_INTERVAL_S
 
     def warnings(self) -> list[str]:
         """Return no warnings: the time of the loop stands still while this writes."""
@@ -108,7 +108,7 @@ class ThreadedFlush:
         self._thread.start()
 
     def _run(self) -> None:
-        while not self._ended.wait(FLUSH_S):
+        while not self._ended.wait(FLUSH_INTERVAL_S):
             try:
                 self._writer.flush()
                 self._see_pace(time.monotonic())
@@ -120,11 +120,11 @@ class ThreadedFlush:
     def _see_pace(self, now: float) -> None:
         """Warn of a disk so slow that a kill now would cost more rows than the run format promises."""
         took, self._flushed = now - self._flushed, now
-        if took > PROMISED_S and now >= self._quiet_until:
-            self._quiet_until = now + QUIET_S
+        if took > PROMISED_FLUSH_S and now >= self._quiet_until:
+            self._quiet_until = now + WARNING_INTERVAL_S
             self._warnings.append(
-                f"the disk is slow: rows were on it {took:.2g} s after those before, {PROMISED_S:g} s at most were"
-                " expected; a crash now may cost as much of the run"
+                f"the disk is slow: rows were on it {took:.2g} s after those before, {PROMISED_FLUSH_S:g} s at most"
+                " were expected; a crash now may cost as much of the run"
             )
 
     def warnings(self) -> list[str]:

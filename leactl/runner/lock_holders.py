@@ -4,13 +4,13 @@ import socket
 import struct
 from hashlib import sha256
 
-LONGEST_NAME = 100  # bytes of an abstract socket's name; the kernel takes 107
+LONGEST_SOCKET_NAME = 100  # bytes of an abstract socket's name; the kernel takes 107
 
 
 def lock_of(key: str) -> bytes:
     """Return the address of the abstract socket that locks a name."""
     name = f"leactl/{key}".encode(errors="surrogateescape")
-    if len(name) > LONGEST_NAME:
+    if len(name) > LONGEST_SOCKET_NAME:
         name = f"leactl/{sha256(name).hexdigest()}".encode()
     return b"\0" + name
 

@@ -21,7 +21,7 @@ from leactl.driver.file_records import RecordSettings
 from leactl.errors import DeviceError, InputError
 from leactl.runner import lock_holders, state_folder
 
-WAITING = 4096  # length of the queue in which requests for the holder stay; beyond it the holder is unknown
+HOLDER_QUEUE_LENGTH = 4096  # of requests for the holder, which stay in the queue; beyond it the holder is unknown
 UDP_MULTICAST_PORT = 43113  # of python-can, unless an option names another
 
 
@@ -123,7 +123,7 @@ def alone(key: str, taken: str) -> Iterator[int]:
             if error.errno != errno.EADDRINUSE:
                 raise DeviceError(f"{key}: cannot be held: {error.strerror}") from None
             raise DeviceError(f"{taken}, {_holder(name)}; wait for its end, or: leactl bench stop") from None
-        lock.listen(WAITING)
+        lock.listen(HOLDER_QUEUE_LENGTH)
         yield lock.fileno()
 
 

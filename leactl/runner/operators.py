@@ -14,7 +14,7 @@ from typing import Any
 
 from leactl.errors import Stopped
 
-HOW = "[Enter goes on, anything else stops the run]"
+HOW_TO_ANSWER = "[Enter goes on, anything else stops the run]"
 STOP_KEYS = {ord(" "): "space", ord("q"): "q"}
 PAUSE_KEY = ord("p")
 STOP_HINT = "space or q stops the run, p pauses it"
@@ -113,7 +113,7 @@ def at_the_terminal(text: str) -> Callable[[], bool]:
     import termios  # a bench with people beside it is on Linux
 
     # from a thread: a stopped terminal takes no text, and must not hold the loop
-    question = f"{text}  {HOW}\n".encode()
+    question = f"{text}  {HOW_TO_ANSWER}\n".encode()
     threading.Thread(target=_tell, args=(sys.stderr.fileno(), question), daemon=True).start()
     terminal = sys.stdin.fileno()
     if _in_front(terminal):
@@ -136,7 +136,7 @@ def at_the_terminal(text: str) -> Callable[[], bool]:
     return confirmed
 
 
-def granted(_text: str) -> Callable[[], bool]:
+def confirm_at_once(_text: str) -> Callable[[], bool]:
     """Confirm at once: nobody has to touch an emulated bench."""
     return lambda: True
 

@@ -17,7 +17,7 @@ from leactl.runfile.publish import new_file, refuse_existing
 from leactl.runner import locks
 from leactl.runner.checked_bench import load_checked
 
-DIGITS = 9  # of a number: enough for single precision
+NUMBER_DIGITS = 9  # of a number: enough for single precision
 
 
 class SavedRecording(NamedTuple):
@@ -61,7 +61,7 @@ def save_recording(name_or_path: str, device: str, target: Path, elsewhere: Sequ
         )
     file = file.model_copy(update={"buses": {**file.buses, **moved}})
     with locks.held(file, chosen):
-        recording, unsafe = _uploaded(Bench(file, chosen, MachineWiring()), device)
+        recording, unsafe = _upload(Bench(file, chosen, MachineWiring()), device)
     try:
         with new_file(target) as path:
             path.write_text(_table(recording), encoding="utf-8")
@@ -74,7 +74,7 @@ def save_recording(name_or_path: str, device: str, target: Path, elsewhere: Sequ
     return SavedRecording(target, recording.headings, len(recording.values), recording.interval)
 
 
-def _uploaded(bench: Bench, name: str) -> tuple[OwnRecording, str]:
+def _upload(bench: Bench, name: str) -> tuple[OwnRecording, str]:
     """Open the device, which switches it off, upload its recording, make it safe again and close it.
 
     Returns the recording, and what could not be confirmed of the device's safe state; empty if it is safe.
@@ -85,13 +85,13 @@ def _uploaded(bench: Bench, name: str) -> tuple[OwnRecording, str]:
     try:
         recording = device.recorded()
     except BaseException as error:
-        if unsafe := _let_go(bench, name):
+        if unsafe := _make_safe_and_close(bench, name):
             error.add_note(unsafe)
         raise
-    return recording, _let_go(bench, name)
+    return recording, _make_safe_and_close(bench, name)
 
 
-def _let_go(bench: Bench, name: str) -> str:
+def _make_safe_and_close(bench: Bench, name: str) -> str:
     """Make the device safe and close it; return what could not be confirmed, or an empty string."""
     try:
         return unconfirmed_devices(make_safe([bench.drivers[name]]))
@@ -104,5 +104,5 @@ def _table(recording: OwnRecording) -> str:
     table = csv.writer(text, lineterminator="\n")  # quotes a heading with a comma
     table.writerow(("Time (s)", *recording.headings))
     for number, row in enumerate(recording.values.tolist()):
-        table.writerow([f"{value:.{DIGITS}g}" for value in (number * recording.interval, *row)])
+        table.writerow([f"{value:.{NUMBER_DIGITS}g}" for value in (number * recording.interval, *row)])
     return text.getvalue()

@@ -31,7 +31,7 @@ class Admitted(NamedTuple):
     stays_on: Sequence[str]  # for each supply that the plan switches on, the consequence if nobody switches it off
 
 
-def admitted(request: Request, windings: Windings) -> Admitted:
+def admit(request: Request, windings: Windings) -> Admitted:
     """Check a request against its bench and its windings; no device is opened.
 
     Raises

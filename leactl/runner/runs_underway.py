@@ -30,7 +30,7 @@ from leactl.yamlfile import printable
 
 GOES_ON, STOP, PAUSE = b"-", b"!", b"="
 HEAD_BYTES = 2  # the first asks for a stop and the second for a pause, so that neither undoes the other
-CAUSE = "stopped by `leactl bench stop`"
+STOP_CAUSE = "stopped by `leactl bench stop`"
 POLL_INTERVAL_S = 0.02
 MOST_FILE_BYTES = 1 << 22  # of a file, with thousands of remarks
 
@@ -63,7 +63,7 @@ class Announcement:
 
     def stop_cause(self) -> str:
         """Return the cause of a stop that another process has asked for, else an empty string."""
-        return CAUSE if self._head[0] == STOP[0] else ""
+        return STOP_CAUSE if self._head[0] == STOP[0] else ""
 
     @property
     def paused(self) -> bool:

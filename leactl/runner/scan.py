@@ -33,7 +33,7 @@ SOCKET_PORTS = (5025, 5555)  # of instruments: IANA's scpi-raw, and what Rigol u
 FD_MTU = "72"  # bytes of a CAN-FD frame in the kernel; 16 of a classic one
 ALWAYS_FD = ("virtual", "udp_multicast")  # interfaces of python-can without a controller
 CONSOLES = "sys/class/tty/console/active"  # lists the serial consoles; a shell there may take a probe for a command
-LONGEST_NAME = 40  # characters, of a bus in a bench file
+LONGEST_BUS_NAME = 40  # characters, in a bench file
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def named_wires(
     named: list[ScannedWire] = []
     for wire in {wire.shown: wire for wire in wires}.values():
         taken = {earlier.name for earlier in named}
-        numbered = (f"{wire.name[: LONGEST_NAME - 1 - len(str(number))]}_{number}" for number in count(2))
+        numbered = (f"{wire.name[: LONGEST_BUS_NAME - 1 - len(str(number))]}_{number}" for number in count(2))
         named.append(replace(wire, name=next(name for name in chain([wire.name], numbered) if name not in taken)))
     return named
 
@@ -199,4 +199,4 @@ def _lan_wire(word: str) -> ScannedWire:
 def _name(text: str) -> str:
     """Return a text as a name that is valid in a bench file."""
     plain = re.sub(r"[^a-z0-9_]+", "_", text.lower()).strip("_")
-    return f"{'' if plain[:1].isalpha() else 'bus_'}{plain}"[:LONGEST_NAME].rstrip("_")
+    return f"{'' if plain[:1].isalpha() else 'bus_'}{plain}"[:LONGEST_BUS_NAME].rstrip("_")

@@ -28,7 +28,7 @@ from leactl.runner.flushing import InlineFlush, Recording, ThreadedFlush
 from leactl.runner.latch import Latch, OpenLatch
 from leactl.runner.loop import Loop
 from leactl.runner.outcome import Outcome, is_out_of_order, joined, status_of, with_unconfirmed
-from leactl.runner.preparation import admitted, check, locks_of, refuse_latched
+from leactl.runner.preparation import admit, check, locks_of, refuse_latched
 from leactl.runner.progress import Progress
 from leactl.runner.request import Request
 from leactl.runner.run_head import introduce, warn_of_bench, writer_of
@@ -103,7 +103,7 @@ def execute(
             ) as announcement,
         ):
             windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
-            request, bench, supervisor, stays_on = admitted(request, windings)
+            request, bench, supervisor, stays_on = admit(request, windings)
             for source in (announcement.stop_cause, *stops):
                 stop.add_source(source)
             with windings.remembered(announcement.renew):

@@ -22,7 +22,7 @@ from leactl.quantities import UNITS
 from leactl.runner.channel_limits import LimitVerdict
 from leactl.units import converter
 
-ENDS = 2  # first trials of a search, at the ends of its interval
+END_TRIALS = 2  # first trials of a search, at the ends of its interval
 
 
 @dataclass
@@ -39,12 +39,12 @@ class Bisection:
     def setpoint(self) -> float:
         """Setpoint of the next trial: first each end, then the middle of the interval."""
         number = len(self.met)
-        return self.ends[number] if number < ENDS else 0.5 * (self.ends[0] + self.ends[1])
+        return self.ends[number] if number < END_TRIALS else 0.5 * (self.ends[0] + self.ends[1])
 
     @property
     def outcome(self) -> str:
         """Outcome of the search, or `BISECTING` while it is not finished."""
-        if len(self.met) >= ENDS and self.met[0] == self.met[1]:
+        if len(self.met) >= END_TRIALS and self.met[0] == self.met[1]:
             return NOT_IDENTIFIABLE
         return BRACKETED if len(self.met) == self.search.trials else BISECTING
 
@@ -56,7 +56,7 @@ class Bisection:
     def take(self, met: bool) -> None:
         """Take the outcome of a trial; keep the half of the interval at whose ends the outcomes differ."""
         middle = self.setpoint
-        if len(self.met) >= ENDS:
+        if len(self.met) >= END_TRIALS:
             self.ends[0 if met == self.met[0] else 1] = middle
         self.met.append(met)
 

@@ -154,7 +154,7 @@ class Windings:
         else:
             helps = "no wait between its steps helps: shorten or lower them"
         if forecast.turning_from_hz is not None:
-            helps += f", or raise rate_Hz, {plan.rate_Hz:g} now: {standing(forecast.turning_from_hz)}"
+            helps += f", or raise rate_Hz, {plan.rate_Hz:g} now: {standing_text(forecast.turning_from_hz)}"
         known = "; ".join(
             f"{role} {start.known}, at most {start.nodes[0]:.0f} degC" for role, start in self.recalled.items()
         )
@@ -169,7 +169,7 @@ class Windings:
         return Foresight(self.fed, self.settings, start)
 
 
-def standing(turning_from_hz: float) -> str:
+def standing_text(turning_from_hz: float) -> str:
     """Return the sentence on rotors that a slow loop counts as standing."""
     return f"below about {turning_from_hz:g} Hz more than a tenth of the heat of a rotor that turns counts as standing"
 

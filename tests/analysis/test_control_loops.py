@@ -8,7 +8,7 @@ import pytest
 from leactl.analysis.analyze import analyze_runs
 from leactl.bench import benchfile
 from leactl.emulation.bench import emulated_bench
-from leactl.runner.operators import granted
+from leactl.runner.operators import confirm_at_once
 from leactl.runner.request import prepare
 from leactl.runner.session import execute
 from tests.coverage_of_intervals.plant import WatchedRig, current_loop_bandwidth
@@ -34,7 +34,7 @@ def estimates(tmp_path, monkeypatch):
         if name.endswith("step"):
             monkeypatch.setattr(emulated_bench, "Rig", Kept)
         request = prepare(name, "emulated", ["seed=1", *sets], "a1", "design", "", tmp_path, realtime=False)
-        outcome = execute(request, granted, lambda _progress: nullcontext())
+        outcome = execute(request, confirm_at_once, lambda _progress: nullcontext())
         assert outcome.error is None
         return {item.name: item for item in analyze_runs([outcome.path]).results}, rigs
 

@@ -11,7 +11,7 @@ from leactl.analysis.heating.narrowing import Accuracy, narrowed
 from leactl.errors import AcceptanceFailed, InputError, NotIdentifiable
 from leactl.model.motor import load_motor
 from leactl.runfile.read.reader import Run
-from leactl.runner.commission import LONGER
+from leactl.runner.commission import MOST_HEAT_GROWTH
 from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Box
 from tests.analysis.heated import HeatedBench, Plant, temperatures
@@ -144,4 +144,4 @@ def test_the_shares_that_the_page_tells_are_those_of_the_code():
     assert f"{both:.1f} % for {100.0 * own.current:g} % and {100.0 * own.current:g} %" in text
     lowered = replace(Box.of(LEA), temperature_rise=told.camera_gain).limit(math.inf, TOLD)
     assert f"by {100.0 * told.camera_gain:g} % the guard stops at {lowered:.1f} degC in place of {LIMIT:g}" in text
-    assert f"more than {LONGER:g} times as long as the longest before it" in text
+    assert f"more than {MOST_HEAT_GROWTH:g} times as long as the longest before it" in text

@@ -9,7 +9,7 @@ import pytest
 
 from leactl.bench import benchfile
 from leactl.emulation.plant.phase_lanes import PhaseLane, PhaseLanes
-from leactl.runner.operators import granted
+from leactl.runner.operators import confirm_at_once
 from leactl.runner.request import prepare
 from leactl.runner.session import execute
 
@@ -54,7 +54,7 @@ def test_a_bench_runs_faster_than_real_time(tmp_path, monkeypatch, figure, proto
     for _ in range(5):
         request = prepare(str(path), str(bench), [], "", "design", "", tmp_path / "runs", realtime=False)
         began = time.process_time()
-        outcome = execute(request, granted, lambda _progress: nullcontext())
+        outcome = execute(request, confirm_at_once, lambda _progress: nullcontext())
         speeds.append(outcome.duration_s / (time.process_time() - began))
         assert outcome.error is None
     speed = statistics.median(speeds)

@@ -13,9 +13,9 @@ from leactl.driver.i2c_port import SmBus
 from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.runfile.write.writer import RunWriter
 from leactl.runner.channel_limits import ChannelLimits
-from leactl.runner.flushing import FLUSH_S, Recording
+from leactl.runner.flushing import FLUSH_INTERVAL_S, Recording
 from leactl.runner.loop import Loop
-from leactl.runner.operators import granted
+from leactl.runner.operators import confirm_at_once
 from leactl.runner.progress import Progress
 from leactl.runner.request import Request, prepare
 from leactl.runner.stop_requests import OperatorInput, RunControl, StopRequest
@@ -25,7 +25,7 @@ from tests.benchmarks.replay import RehearsedBus
 from tests.runfile.specimen import info
 from tests.safety.guards import guard_of
 
-FLUSH_EVERY = round(1000 * FLUSH_S)  # cycles
+FLUSH_EVERY = round(1000 * FLUSH_INTERVAL_S)  # cycles
 
 BENCH = """
 name: two-drives
@@ -122,7 +122,7 @@ def prepared(request: Request, wiring: Rehearsal, number: int, flush=FlushByCycl
         bench,
         supervisor,
         NoWatchdog(),
-        RunControl(StopRequest(), OperatorInput(), granted),
+        RunControl(StopRequest(), OperatorInput(), confirm_at_once),
         Recording(writer, flush(writer), progress, ChannelLimits((), bench.streams(), request.bench.name)),
     )
     return loop, bench, writer, progress

@@ -21,7 +21,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes share the co
 from leactl.analysis.analyze import analyze_runs
 from leactl.analysis.estimate import Grid, Result
 from leactl.bench import benchfile
-from leactl.runner.operators import granted
+from leactl.runner.operators import confirm_at_once
 from leactl.runner.request import prepare
 from leactl.runner.session import execute
 from tests.analysis.coupled import Truth
@@ -88,7 +88,7 @@ def answered(wanted: tuple[str, int]) -> Result:
         bench.write_text(text)
         sets = [f"seed={seed}", *SETS]
         request = prepare("efficiency", str(bench), sets, "a1", "design", "", Path(folder), False)
-        outcome = execute(request, granted, lambda _progress: nullcontext())
+        outcome = execute(request, confirm_at_once, lambda _progress: nullcontext())
         if outcome.error is not None:
             raise outcome.error
         return analyze_runs([outcome.path], phase_resistance=float(resistance), **told)

@@ -26,7 +26,7 @@ from leactl.analysis.estimate import Estimate
 from leactl.bench import benchfile
 from leactl.emulation.bench import emulated_bench
 from leactl.emulation.plant.exact.rig import Rig
-from leactl.runner.operators import granted
+from leactl.runner.operators import confirm_at_once
 from leactl.runner.request import prepare
 from leactl.runner.session import execute
 
@@ -110,7 +110,7 @@ def rehearsed(wanted: tuple[Path, int, str]) -> tuple[str, dict[str, float], Pat
             WatchedRig.lag = drawn_lag(seed)
             emulated_bench.EmulatedBench = Seen
         request = prepare(name, bench_file, sets, "a1", CONDITION, "", unfinished, False)
-        outcome = execute(request, granted, lambda _progress: nullcontext())
+        outcome = execute(request, confirm_at_once, lambda _progress: nullcontext())
         if outcome.error is not None:
             raise outcome.error
         outcome.path.rename(path)

@@ -12,7 +12,7 @@ from multiprocessing import Pool
 from pathlib import Path
 from typing import NamedTuple
 
-from leactl.runner.operators import granted
+from leactl.runner.operators import confirm_at_once
 from leactl.runner.request import prepare
 from leactl.runner.session import execute
 
@@ -54,7 +54,7 @@ def _make(rehearsal: Rehearsal) -> Rehearsal:
     os.environ["LEACTL_STATE"] = str(unfinished / "state")
     sets = [f"seed={rehearsal.seed}"]
     request = prepare(rehearsal.experiment, "emulated", sets, "a1", rehearsal.condition, "", unfinished, False)
-    outcome = execute(request, granted, lambda _progress: nullcontext())
+    outcome = execute(request, confirm_at_once, lambda _progress: nullcontext())
     if outcome.error is not None:
         raise outcome.error
     outcome.path.rename(rehearsal.path)

@@ -12,7 +12,7 @@ from leactl.protocol.plan import Plan
 from leactl.runner.channel_limits import ChannelLimits
 from leactl.runner.flushing import Recording
 from leactl.runner.loop import Loop
-from leactl.runner.operators import granted
+from leactl.runner.operators import confirm_at_once
 from leactl.runner.progress import Progress
 from leactl.runner.stop_requests import OperatorInput, RunControl, StopRequest
 from leactl.runner.thermal_admission import guard_settings, motors_of
@@ -165,7 +165,7 @@ def _loop(plan: Plan, bench: DirectBench, supervisor: Supervisor | Unsupervised)
     nothing = NoFile()
     progress = Progress(plan.name, plan.duration_s, bench.streams())
     limits = ChannelLimits((), bench.streams(), bench.file.name)
-    control = RunControl(StopRequest(), OperatorInput(), granted)
+    control = RunControl(StopRequest(), OperatorInput(), confirm_at_once)
     recording = Recording(nothing, nothing, progress, limits)  # type: ignore[arg-type]
     loop = Loop(plan, bench, supervisor, NoWatchdog(), control, recording)  # type: ignore[arg-type]
     status, reason = "complete", ""

@@ -19,7 +19,7 @@ from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
 from leactl.runner import thermal_admission
 from leactl.runner.drill.power_watch import DrivePowerWatch
-from leactl.runner.operators import granted
+from leactl.runner.operators import confirm_at_once
 from leactl.runner.request import prepare
 from leactl.runner.session import execute
 from leactl.runner.thermal_admission import motors_of
@@ -65,7 +65,7 @@ def trial(draw: np.random.Generator, number: int, guard_of: MakeGuard) -> dict[s
         )
         plant = DrivePowerWatch()
         with observed(plant.see):
-            outcome = execute(request, granted, lambda _progress: nullcontext())
+            outcome = execute(request, confirm_at_once, lambda _progress: nullcontext())
         time = plant.bench.time
         time.sleep_until(time.now() + AFTER_S)
         energised = [role for role in ROLES if plant.powered(role)]

@@ -5,7 +5,7 @@ from contextlib import nullcontext
 import pytest
 
 from leactl.emulation.bench import emulated_bench
-from leactl.runner.operators import granted
+from leactl.runner.operators import confirm_at_once
 from leactl.runner.request import prepare
 from leactl.runner.session import execute
 
@@ -39,7 +39,7 @@ def spin(tmp_path, monkeypatch):
         sets=("seed=3",),
         condition="design",
         bench="emulated",
-        operator=granted,
+        operator=confirm_at_once,
         watch=lambda _progress: nullcontext(),
         out=tmp_path / "runs",
         realtime=False,

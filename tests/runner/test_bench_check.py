@@ -18,7 +18,7 @@ from leactl.runfile.verify.integrity import verify
 from leactl.runner.bench_check.check import check_bench, request_at_rest, request_turning
 from leactl.runner.bench_check.statement import StatementVerdict, ratio, wrong
 from leactl.runner.bench_check.turning import Slope, factor_of_a_turn, slopes
-from leactl.runner.operators import granted
+from leactl.runner.operators import confirm_at_once
 from leactl.runner.session import execute
 
 SHIPPED = yaml.safe_load((benchfile.SHIPPED / "emulated.yaml").read_text())
@@ -88,7 +88,9 @@ def checked(tmp_path, monkeypatch):
         rest = request_at_rest(str(path), setup, tmp_path, False, False, ())
         turn = request_turning(str(path), current, setup, tmp_path, False, False, ()) if move else None
         monkeypatch.setattr(emulated_bench, "EmulatedBench", Wired)
-        examined = check_bench(rest, turn, lambda request: execute(request, granted, lambda _: nullcontext()), agrees)
+        examined = check_bench(
+            rest, turn, lambda request: execute(request, confirm_at_once, lambda _: nullcontext()), agrees
+        )
         monkeypatch.undo()
         monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "state"))
         return examined

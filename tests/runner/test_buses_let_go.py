@@ -7,7 +7,7 @@ from leactl_plugins.ads1115.driver import Ads1115
 
 from leactl.emulation.bench import emulated_bench
 from leactl.runner import run_head, session
-from leactl.runner.operators import granted
+from leactl.runner.operators import confirm_at_once
 from leactl.runner.request import prepare
 from tests.runner.conftest import SPIN
 
@@ -32,7 +32,7 @@ def test_an_error_that_nobody_foresaw_leaves_no_bus_open(tmp_path, monkeypatch, 
     (tmp_path / "spin.yaml").write_text(SPIN)
     request = prepare(str(tmp_path / "spin.yaml"), "emulated", [], "", "", "", tmp_path / "runs", False)
     try:
-        outcome = session.execute(request, granted, lambda _progress: nullcontext())
+        outcome = session.execute(request, confirm_at_once, lambda _progress: nullcontext())
     except RuntimeError as error:
         assert str(error) == "unforeseen"
     else:

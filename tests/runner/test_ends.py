@@ -114,7 +114,7 @@ def fail_in_the_thread(monkeypatch, name, fault, wait=lambda: None):
         return original(*arguments)
 
     monkeypatch.setattr(writer, name, failing)
-    monkeypatch.setattr("leactl.runner.flushing.FLUSH_S", 0.0)
+    monkeypatch.setattr("leactl.runner.flushing.FLUSH_INTERVAL_S", 0.0)
 
 
 def test_memory_that_runs_out_while_flushing_fails_the_run(spin, monkeypatch):

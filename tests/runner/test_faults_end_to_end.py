@@ -240,8 +240,8 @@ def test_every_write_of_the_run_file_waits_for_a_slow_disk(rehearse, monkeypatch
 
 
 def test_a_disk_that_falls_behind_is_noted(rehearse, monkeypatch):
-    monkeypatch.setattr("leactl.runner.flushing.FLUSH_S", 0.0)  # noted after 0.4 s, long before the run ends
-    monkeypatch.setattr("leactl.runner.flushing.PROMISED_S", 0.2)
+    monkeypatch.setattr("leactl.runner.flushing.FLUSH_INTERVAL_S", 0.0)  # noted after 0.4 s, long before the run ends
+    monkeypatch.setattr("leactl.runner.flushing.PROMISED_FLUSH_S", 0.2)
     outcome, _bench = rehearse(SLOW, SPIN, sets=("hold_s=1.2",), realtime=True)
     with Run.open(outcome.path) as run:
         assert any(event.level == "warning" and "disk" in event.message for event in run.events)

@@ -205,7 +205,7 @@ def file_exchanged(runs):
 @pytest.mark.parametrize("at", [0.2, 0.75])  # s, of which the second is in the run's last flush
 def test_rows_of_a_run_whose_folder_vanishes_go_elsewhere_and_that_is_told(spin, tmp_path, monkeypatch, vanish, at):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(flushing, "FLUSH_S", 0.0)
+    monkeypatch.setattr(flushing, "FLUSH_INTERVAL_S", 0.0)
     outcome, _bench = spin(at=[(at, lambda _bench: vanish(tmp_path / "runs"))])
     assert (outcome.status, outcome.error) == ("complete", None)
     elsewhere = tmp_path if vanish is file_exchanged else tmp_path / "runs"
@@ -222,7 +222,7 @@ def test_rows_of_a_run_whose_folder_vanishes_go_elsewhere_and_that_is_told(spin,
 
 
 def test_a_folder_that_can_be_nowhere_ends_the_run(spin, tmp_path, monkeypatch):
-    monkeypatch.setattr(flushing, "FLUSH_S", 0.0)
+    monkeypatch.setattr(flushing, "FLUSH_INTERVAL_S", 0.0)
 
     def nowhere(_rows, _name, _folders):
         raise OSError(28, "No space left on device")
@@ -246,7 +246,7 @@ def test_a_folder_that_can_be_nowhere_ends_the_run(spin, tmp_path, monkeypatch):
     ],
 )
 def test_each_cause_has_its_own_advice_and_all_have_one_status(spin, tmp_path, monkeypatch, number, helps):
-    monkeypatch.setattr(flushing, "FLUSH_S", 0.0)
+    monkeypatch.setattr(flushing, "FLUSH_INTERVAL_S", 0.0)
 
     def refused(*_reserved):
         raise OSError(number, os.strerror(number))

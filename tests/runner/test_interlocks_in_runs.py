@@ -178,7 +178,7 @@ def test_the_planned_run_counts(spin, tmp_path, monkeypatch):
 def test_a_disk_that_fills_up_while_running_trips(spin, tmp_path, monkeypatch):
     usage, free = namedtuple("usage", "total used free"), [10**9]
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: usage(10**12, 0, free[0]))
-    monkeypatch.setattr("leactl.runner.flushing.FLUSH_S", 0.0)
+    monkeypatch.setattr("leactl.runner.flushing.FLUSH_INTERVAL_S", 0.0)
     bench = bench_file(tmp_path, "  disk_space: {trip_MB: 100, warn_MB: 500}")
     outcome, _bench = spin(
         bench=bench,

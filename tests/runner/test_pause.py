@@ -64,7 +64,7 @@ def test_a_pause_that_is_taken_back_before_a_rest_changes_nothing(spin):
 
 def test_a_run_is_stopped_while_it_pauses(spin):
     outcome, _bench = spin(RESTING, at=[(0.3, PAUSE), (2.0, asking(lambda run: run.ask_to_stop()))])
-    assert (outcome.status, outcome.reason) == ("stopped", runs_underway.CAUSE)
+    assert (outcome.status, outcome.reason) == ("stopped", runs_underway.STOP_CAUSE)
     assert paused(outcome)[0].stop == pytest.approx(2.0, abs=0.1)
 
 

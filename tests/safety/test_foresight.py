@@ -24,7 +24,7 @@ from leactl.protocol.plan import (
     Until,
     When,
 )
-from leactl.runner.operators import granted
+from leactl.runner.operators import confirm_at_once
 from leactl.runner.request import prepare
 from leactl.runner.session import execute
 from leactl.runner.thermal_admission import Windings
@@ -371,7 +371,7 @@ def test_no_forecast_is_cooler_than_what_the_guard_of_the_run_finds(at_the_bench
 
     monkeypatch.setattr("leactl.runner.session.Windings", Seen)
     request = at_the_bench(text)
-    outcome = execute(request, granted, lambda _progress: nullcontext())
+    outcome = execute(request, confirm_at_once, lambda _progress: nullcontext())
     assert outcome.status == "complete", outcome.reason
     [windings] = found
     peaks = windings.forecast(request.plan).peaks

@@ -19,7 +19,7 @@ from leactl.runner.bench_check.statement import Statement, wrong
 from leactl.runner.bench_check.turning import Turning
 from leactl.runner.checked_bench import load_checked
 from leactl.runner.drill.emulated import drives
-from leactl.runner.dry_run import failures
+from leactl.runner.dry_run import opening_failures
 from leactl.runner.outcome import Outcome
 from leactl.runner.request import Request, prepare_by_hand
 from leactl.runner.thermal_admission import motors_of
@@ -162,7 +162,7 @@ def check_bench(
     try:
         at_rest_outcome = perform(reading_run)
     except DeviceError as error:
-        return BenchCheck(name, opening_statements(failures(reading_run)), (), error)
+        return BenchCheck(name, opening_statements(opening_failures(reading_run)), (), error)
     with Run.open(at_rest_outcome.path) as run:
         statements = at_rest(run, reading_run, at_rest_outcome.reported)
         checked = BenchCheck(name, statements, (at_rest_outcome,), at_rest_outcome.error)

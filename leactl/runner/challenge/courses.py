@@ -19,8 +19,8 @@ GENES = 12
 KINDS = ("ripple", "detents", "swing", "crawl", "in step")
 READINGS = ("true", "noisy", "stuck", "lost", "drifting")
 HARMONICS = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0)
-FINE_S = 0.00025  # longest time between two angles of the plant
-LEAST_CURRENT = 0.25  # of the bench's largest
+LONGEST_PART_S = 0.00025  # longest time between two angles of the plant
+LEAST_CURRENT_SHARE = 0.25  # of the bench's largest
 AT_REST_S = 0.15  # time without current, which a drive takes to follow its setpoint
 INSTANT_S = 1e-7  # to either side, for the derivative of an angle
 
@@ -42,7 +42,7 @@ def course(
 ) -> ChallengeCourse:
     """Return the course of some genes, with readings of one of the kinds `READINGS`."""
     kind = KINDS[int(genes[0] * len(KINDS))]
-    cycles, parts = max(int(seconds / interval), 8), max(4, math.ceil(interval / FINE_S))
+    cycles, parts = max(int(seconds / interval), 8), max(4, math.ceil(interval / LONGEST_PART_S))
     moves = _motion(kind, genes, motor, settings, interval)
     starts: Array = interval * np.arange(cycles, dtype=np.float64)
     fine: Array = (np.arange(cycles * parts, dtype=np.float64) + 0.5) * (interval / parts)
@@ -50,7 +50,7 @@ def course(
     share, phase = genes[8], 2.0 * math.pi * genes[9]
     beats = np.cos((0.0, 2.0, 2.0, 1.0)[int(genes[10] * 4.0)] * electrical + phase)
     swings = share * (np.sign(beats) if genes[10] > 0.5 else beats)
-    base = settings.most_current * (LEAST_CURRENT + (1.0 - LEAST_CURRENT) * genes[7])
+    base = settings.most_current * (LEAST_CURRENT_SHARE + (1.0 - LEAST_CURRENT_SHARE) * genes[7])
     currents = np.clip(base * (1.0 + swings), 0.0, settings.most_current)
     currents[starts < AT_REST_S] = 0.0
     ends: Array = starts + interval

@@ -21,9 +21,9 @@ from leactl.safety.thermal.guard import GuardSettings, ThermalGuard
 
 Array = npt.NDArray[np.float64]
 PART_S = 0.005  # step of the plant: a thousandth of the time that a winding takes to warm
-SECONDS = 8.0  # of a course
-WARM = 0.2  # of the way from the start to the limit, from which on the bound is compared with the plant
-STARTS = (0.0, 0.0, 0.6, 0.9)  # of the way from ambient to the limit, at which a course begins
+COURSE_S = 8.0  # duration of a course
+WARM_SHARE = 0.2  # of the way from the start to the limit, from which on the bound is compared with the plant
+START_SHARES = (0.0, 0.0, 0.6, 0.9)  # of the way from ambient to the limit, at which a course begins
 
 
 @dataclass(frozen=True)
@@ -98,14 +98,14 @@ def run_attempt(
 ) -> Attempt:
     """Simulate one course: in each cycle the guard limits the current and the plant heats; a trip ends it."""
     box = Box.of(motor)
-    start = settings.ambient + STARTS[int(genes[-1] * len(STARTS))] * (settings.limit - settings.ambient)
+    start = settings.ambient + START_SHARES[int(genes[-1] * len(START_SHARES))] * (settings.limit - settings.ambient)
     start += box.ambient_rise
-    challenge = course(genes[:GENES], motor, settings, 1.0 / rate_hz, SECONDS, reading)
+    challenge = course(genes[:GENES], motor, settings, 1.0 / rate_hz, COURSE_S, reading)
     ends = np.rint(genes[GENES:-1]) if genes[5] > 0.2 else genes[GENES:-1]  # corners of the box are the hottest
     plant = Phases(box, ends, settings.ambient, start)
     guard = guard_of({"test": motor}, settings, {"test": np.full(3, start)})
     guard.begin(0.0)
-    warm = start + WARM * (settings.limit - start)
+    warm = start + WARM_SHARE * (settings.limit - start)
     over, peak = -math.inf, start
     currents, means = challenge.currents.copy(), turned(challenge, motor.pole_pairs)
     tripped = False

@@ -9,10 +9,11 @@ import numpy.typing as npt
 from leactl.errors import InputError
 
 Array = npt.NDArray[np.float64]
-FIRST, KEPT, RANDOM = 6, 4, 0.3  # draws at first, best genes kept of each kind, and share of later draws
-CHANGED, SPREAD = 0.35, 0.15
+FIRST_DRAWS, KEPT_PER_KIND = 6, 4  # draws at first, and best genes that are kept of each kind of course
+DRAWN_SHARE = 0.3  # of later genes, which are drawn anew
+CHANGED_SHARE, CHANGE_STD = 0.35, 0.15  # of the genes, and of a change
 COLD_K = -1e3  # over the bound, counted for a course that has warmed nothing
-MISSING = "optimiser 'cma' needs the package cma: pip install 'leactl[cma]'"
+MISSING_PACKAGE = "optimiser 'cma' needs the package cma: pip install 'leactl[cma]'"
 
 
 class TriedGenes(Protocol):
@@ -35,16 +36,17 @@ def by_changes(count: int, random: np.random.Generator) -> Proposals:
     attempts = 0
     while True:
         genes = random.random(count)
-        if attempts >= FIRST and random.random() > RANDOM:
+        if attempts >= FIRST_DRAWS and random.random() > DRAWN_SHARE:
             kind = by_kind[str(random.choice(sorted(by_kind)))]
             genes = _changed(kind[int(random.integers(len(kind)))].genes, random)
         attempt = yield genes
         attempts += 1
-        by_kind[attempt.kind] = sorted([*by_kind.get(attempt.kind, []), attempt], key=lambda past: -past.over_k)[:KEPT]
+        nearest_first = sorted([*by_kind.get(attempt.kind, []), attempt], key=lambda past: -past.over_k)
+        by_kind[attempt.kind] = nearest_first[:KEPT_PER_KIND]
 
 
 def _changed(genes: Array, random: np.random.Generator) -> Array:
-    changes = SPREAD * random.standard_normal(len(genes)) * (random.random(len(genes)) < CHANGED)
+    changes = CHANGE_STD * random.standard_normal(len(genes)) * (random.random(len(genes)) < CHANGED_SHARE)
     return _inside(genes + changes)
 
 
@@ -62,14 +64,14 @@ def by_cma(count: int, random: np.random.Generator) -> Proposals:
     try:
         import cma
     except ImportError:
-        raise InputError(MISSING) from None
+        raise InputError(MISSING_PACKAGE) from None
     while True:
         drawn: list[TriedGenes] = []
-        for _ in range(FIRST):
+        for _ in range(FIRST_DRAWS):
             drawn.append((yield random.random(count)))  # noqa: PERF401 (a comprehension cannot yield)
         start = max(drawn, key=lambda attempt: attempt.over_k).genes
         options = {"bounds": [0.0, 1.0], "verbose": -9, "seed": int(random.integers(1, 2**31)), "tolfun": 1e-2}
-        strategy = cma.CMAEvolutionStrategy(start, SPREAD, options)
+        strategy = cma.CMAEvolutionStrategy(start, CHANGE_STD, options)
         while not strategy.stop():
             population, distances = strategy.ask(), []
             for genes in population:

@@ -35,7 +35,7 @@ from leactl.runner.drill.finding import (
 )
 from leactl.runner.drill.power_watch import DrivePowerWatch
 from leactl.runner.dry_run import dry_run
-from leactl.runner.operators import granted
+from leactl.runner.operators import confirm_at_once
 from leactl.runner.outcome import Outcome
 from leactl.runner.request import prepare_by_hand
 from leactl.runner.session import execute
@@ -252,7 +252,7 @@ class EmulatedDrill:
             return STOP_REASON if stop_at is not None and power_watch.last_cycle >= stop_at else ""
 
         with _temporary_state(), observed(power_watch.see):
-            outcome = execute(request, granted, record_start, [stop_source])
+            outcome = execute(request, confirm_at_once, record_start, [stop_source])
         if isinstance(outcome.error, Stopped) and outcome.reason != STOP_REASON:
             raise outcome.error
         power_watch.end()

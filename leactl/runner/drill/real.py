@@ -30,7 +30,7 @@ from leactl.runner.drill.finding import (
     end_faults,
 )
 from leactl.runner.dry_run import dry_run
-from leactl.runner.operators import granted, keyboard
+from leactl.runner.operators import confirm_at_once, keyboard
 from leactl.runner.outcome import Outcome
 from leactl.runner.request import Request, prepare_by_hand
 from leactl.runner.session import execute
@@ -245,7 +245,7 @@ class RealDrill:
             yield
             safe_at.append(time.monotonic())
 
-        outcome = execute(request, granted, watch, stops)
+        outcome = execute(request, confirm_at_once, watch, stops)
         if isinstance(outcome.error, Stopped) and not (expected_reason and outcome.reason.startswith(expected_reason)):
             raise outcome.error
         # where the instruction could not be told, the view never began: a later moment, which no drill passes wrongly

@@ -8,7 +8,7 @@ import pytest
 from leactl.runner.campaign.campaignfile import load
 from leactl.runner.campaign.conduct import CampaignOptions, conduct
 from leactl.runner.campaign.entries import EntryOptions, entries_of
-from leactl.runner.operators import granted
+from leactl.runner.operators import confirm_at_once
 from leactl.runner.session import execute
 
 SPIN = """
@@ -59,7 +59,9 @@ class Bench:
         def perform(request, _heading):
             self.begun.append(request.part_of["run"])
             last = stop_at is not None and len(self.begun) == stop_at
-            return execute(request, granted, lambda _progress: nullcontext(), [lambda: "enough" if last else ""])
+            return execute(
+                request, confirm_at_once, lambda _progress: nullcontext(), [lambda: "enough" if last else ""]
+            )
 
         return conduct(
             campaign, entries, self.folder, CampaignOptions(perform, self.told.append, attended=False, **options)
