@@ -6,7 +6,7 @@ from datetime import UTC, date, datetime
 from leactl.bench.benchfile import CheckedDevice
 from leactl.driver.contract import Identity
 from leactl.errors import DeviceError
-from leactl.runfile.instruments import LONGEST, Instrument
+from leactl.runfile.instruments import LONGEST_LINE, Instrument
 from leactl.yamlfile import printable
 
 
@@ -24,7 +24,7 @@ class Provenance:
         ------
         DeviceError : the device reports a serial number, and the bench file states another.
         """
-        texts = {name: " ".join(printable(text).split())[:LONGEST] for name, text in identity._asdict().items()}
+        texts = {name: " ".join(printable(text).split())[:LONGEST_LINE] for name, text in identity._asdict().items()}
         self._identity = {name: text for name, text in texts.items() if text}
         serial, expected = texts["serial"], self._entry.serial
         if serial and expected and _bare(serial) != _bare(expected):

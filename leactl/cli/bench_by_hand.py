@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 LONGEST_REMARK = 1000  # characters
 READ_S = 2.0  # duration of `bench read`
-EVERY_S = 1.0  # between two lines of `bench read --follow`
-END_S = 20.0  # wait for the end of a run: up to a second for each of three devices, the remainder for its file
+FOLLOW_INTERVAL_S = 1.0  # between two lines of `bench read --follow`
+END_TIMEOUT_S = 20.0  # wait for the end of a run: up to a second for each of three devices, the remainder for its file
 
 BENCH = typer.Argument("emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches)
 RUNNING = typer.Argument(
@@ -37,7 +37,7 @@ AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 def stop(
     bench: str = RUNNING,
     wait_s: float = typer.Option(
-        END_S, "--wait", metavar="SECONDS", min=0, help="How long to wait for the end.", callback=finite
+        END_TIMEOUT_S, "--wait", metavar="SECONDS", min=0, help="How long to wait for the end.", callback=finite
     ),
     as_json: bool = AS_JSON,
 ) -> None:
@@ -215,7 +215,7 @@ def read(
     from leactl.runfile.read.reader import Run
 
     if follow:
-        _follow(bench, hold_s, every or EVERY_S, channels, setup, out, realtime, served, bus, trace, as_json)
+        _follow(bench, hold_s, every or FOLLOW_INTERVAL_S, channels, setup, out, realtime, served, bus, trace, as_json)
         return
     if every is not None or channels:
         raise InputError(f"{'--channel' if channels else '--every'}: goes with --follow alone")

@@ -18,7 +18,7 @@ MEANINGS: Final[dict[type[LeactlError], str]] = {
 }
 ALWAYS: Final[tuple[type[LeactlError], ...]] = (LeactlError, InputError, Stopped)  # Ctrl-C ends every command
 ON_A_BENCH: Final[tuple[type[LeactlError], ...]] = (SafetyTrip, DeviceError)
-UNCUT: Final = 10_000  # characters; longer than the help sentence of any command, so that none is cut
+UNCUT_LENGTH: Final = 10_000  # characters; longer than the help sentence of any command, so that none is cut
 
 
 class WholeSentences(TyperGroup):
@@ -27,7 +27,7 @@ class WholeSentences(TyperGroup):
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the list of commands."""
         commands: list[tuple[str, Any]] = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
-        rows = [(name, command.get_short_help_str(UNCUT)) for name, command in commands]
+        rows = [(name, command.get_short_help_str(UNCUT_LENGTH)) for name, command in commands]
         with formatter.section("Commands"):
             formatter.write_dl(rows)
 

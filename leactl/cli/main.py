@@ -17,7 +17,7 @@ from leactl.errors import InputError, LeactlError, Stopped
 
 TYPER_CTRL_C_STATUS = 130  # that typer returns after Ctrl-C
 BROKEN_PIPE_STATUS = 141  # 128 + 13, as of a command that SIGPIPE ends in a shell
-MOST_LINES = 50  # of faults that are printed: a file may have one in each of its lines
+MOST_FAULT_LINES = 50  # of faults that are printed: a file may have one in each of its lines
 UsageError: Any = typer.BadParameter.__base__  # not imported: its module differs between versions of typer
 
 app = typer.Typer(
@@ -155,8 +155,8 @@ def _end(lines: list[str], status: int) -> NoReturn:
         sys.stdout.flush()
     except OSError:
         _discard_stdout()  # it has no reader, or its disk is full
-    for line in lines[:MOST_LINES]:
+    for line in lines[:MOST_FAULT_LINES]:
         print(f"leactl: {line}", file=sys.stderr)
-    if len(lines) > MOST_LINES:
-        print(f"leactl: and {len(lines) - MOST_LINES} more", file=sys.stderr)
+    if len(lines) > MOST_FAULT_LINES:
+        print(f"leactl: and {len(lines) - MOST_FAULT_LINES} more", file=sys.stderr)
     sys.exit(status)

@@ -15,8 +15,8 @@ from leactl.report.plan import peaks
 from leactl.report.terminal import encodable, encoding_of_stdout, list_line, terminal_columns, wrapped
 from leactl.runner.drill.finding import Drilled, DrillFinding, PlannedDrill, Tell
 
-NARROWEST = 72
-WIDEST = 160  # characters; the longest reason then takes two lines
+NARROWEST_TABLE = 72
+WIDEST_TABLE = 160  # characters; the longest reason then takes two lines
 LEAST_NAME_WIDTH, LEAST_END_WIDTH = 19, 13  # characters: of a fault's name, of the final state of the devices
 VERDICT_WIDTH, AFTER_WIDTH, NO_TORQUE_WIDTH = 3, 6, 7
 
@@ -28,7 +28,7 @@ def print_drill(drilled: Drilled) -> None:
 
 def render(drilled: Drilled, width: int = 80, encoding: str = "utf-8") -> str:
     """Return the whole drill as text for a stream of this width and encoding."""
-    width = min(max(width, NARROWEST), WIDEST)
+    width = min(max(width, NARROWEST_TABLE), WIDEST_TABLE)
     text_width = width - VERDICT_WIDTH - AFTER_WIDTH - NO_TORQUE_WIDTH - 5  # a space between two columns
     name_width, end_width = max(LEAST_NAME_WIDTH, text_width // 3), max(LEAST_END_WIDTH, text_width // 4)
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))

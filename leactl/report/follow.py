@@ -25,7 +25,7 @@ from leactl.runner.progress import Progress
 
 FIRST_LINE_S: Final = 1.0  # by then most devices have a reading; a longer silence would look like a hang
 LEAST_PAUSE_S: Final = 0.01  # between two lines
-SILENT_S: Final = 5.0  # without a reading, from which a device counts as silent
+SILENT_AFTER_S: Final = 5.0  # without a reading, from which a device counts as silent
 
 
 class ReadingSampler:
@@ -83,7 +83,7 @@ class ReadingSampler:
     def newly_silent(self, time_s: float, interval_s: float) -> Iterator[str]:
         """Yield a warning for each device that has become silent; each device is reported once.
 
-        A device is silent if it has had no reading for SILENT_S and for `interval_s`.
+        A device is silent if it has had no reading for SILENT_AFTER_S and for `interval_s`.
 
         Parameters
         ----------
@@ -91,7 +91,7 @@ class ReadingSampler:
         interval_s : time between two samples.
         """
         for device, last_s in self._last_reading_s.items():
-            if time_s - last_s >= max(SILENT_S, interval_s) and device not in self._silent_devices:
+            if time_s - last_s >= max(SILENT_AFTER_S, interval_s) and device not in self._silent_devices:
                 self._silent_devices.add(device)
                 yield f"{device}: no reading for {time_s - last_s:.0f} s; its columns are nan until one comes"
 

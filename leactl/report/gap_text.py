@@ -34,9 +34,9 @@ from leactl.report.gap_words import (
     verdict_sentence,
 )
 from leactl.report.html import without_control_characters
-from leactl.report.terminal import SMALLEST, aligned, encodable, encoding_of_stdout, terminal_columns
+from leactl.report.terminal import SMALLEST_WIDTH, aligned, encodable, encoding_of_stdout, terminal_columns
 
-WIDEST = 120  # characters; wider notes are hard to read
+WIDEST_NOTE = 120  # characters; wider notes are hard to read
 NO_BREAK = "\u00a0"  # a space at which no line ends
 MOST_REGIONS = 5
 
@@ -48,7 +48,7 @@ def print_diagnosis(answer: DiagnosisResult) -> None:
 
 def render(answer: DiagnosisResult, width: int = 80, encoding: str = "utf-8") -> str:
     """Return the whole diagnosis as text for a stream of this width and encoding."""
-    width = min(max(width, SMALLEST), WIDEST)
+    width = min(max(width, SMALLEST_WIDTH), WIDEST_NOTE)
     parts = [
         verdict_part(answer, width),
         simulator_part(answer, width),

@@ -20,8 +20,8 @@ from leactl.analysis.estimate import Estimate, Result
 from leactl.report.plot import draw
 
 ASCII = str.maketrans({"±": "+-", "…": "..."})
-WIDEST = 100  # characters; a wider plot shows no more
-SMALLEST = 40  # characters
+WIDEST_PLOT = 100  # characters; a wider plot shows no more
+SMALLEST_WIDTH = 40  # characters
 TEXT_WIDTH = 80  # characters of texts that have the same width on every terminal
 FEWEST_COLUMNS = 20  # for the text of an entry of a list; with fewer columns the entry is not wrapped
 
@@ -54,7 +54,7 @@ def encoding_of(stream: IO[str]) -> str:
 def render(result: Result, width: int = 80, encoding: str = "utf-8", plot: bool = True) -> str:
     """Return the whole result as text for a stream of this width and encoding."""
     unicode = shows_all(encoding)
-    width = min(max(width, SMALLEST), WIDEST)
+    width = min(max(width, SMALLEST_WIDTH), WIDEST_PLOT)
     parts = [wrapped(f"{result.experiment}, {len(result.runs)} run{'s' * (len(result.runs) > 1)}:", result.runs, width)]
     for group in result.groups:
         title = ", ".join(filter(None, group))

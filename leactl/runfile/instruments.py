@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from leactl.yamlblock import Block
 
-LONGEST = 200  # characters of a text that is to be on one line
+LONGEST_LINE = 200  # characters of a text that is to be on one line
 
 
 def _iso_date_only(value: Any) -> Any:
@@ -27,7 +27,7 @@ def _quoted_text_only(value: Any) -> Any:
     return value
 
 
-Label = Annotated[str, BeforeValidator(_quoted_text_only), Field(max_length=LONGEST)]
+Label = Annotated[str, BeforeValidator(_quoted_text_only), Field(max_length=LONGEST_LINE)]
 Day = Annotated[date, BeforeValidator(_iso_date_only)]
 
 

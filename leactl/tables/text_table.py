@@ -22,7 +22,7 @@ from leactl.tables.number_format import TableFormat
 
 MOST_CHARACTERS = 1 << 25  # of a file: 1.6 million rows of a camera, which take 1 GB of memory
 MOST_BYTES = 2 * MOST_CHARACTERS  # of a file in UTF-16
-MOST_PREAMBLE = 1000  # lines before the headings
+MOST_PREAMBLE_LINES = 1000  # before the headings
 MOST_FAULTS = 5  # that one error lists
 HEAD_BYTES = 1 << 12  # from which an encoding is detected
 SHOWN_BYTES = 60  # before and after a byte that is not in the encoding
@@ -276,7 +276,7 @@ def join_halves(lines: Sequence[str]) -> list[str]:
 def find_header(lines: Sequence[str], first: int, delimiter: str, wanted: Sequence[str]) -> int | None:
     """Return the index of the first line, from line `first` on, that has all wanted headings; None if there is none."""
     wanted_names = set(wanted)
-    for index in range(first, min(len(lines), first + MOST_PREAMBLE)):
+    for index in range(first, min(len(lines), first + MOST_PREAMBLE_LINES)):
         if wanted_names <= {name for cell in cells_of(lines[index], delimiter) for name in column_names(cell.strip())}:
             return index
     return None

@@ -12,7 +12,7 @@ import typer
 from typer.main import get_command
 
 from leactl import errors
-from leactl.cli.helptext import MEANINGS, UNCUT
+from leactl.cli.helptext import MEANINGS, UNCUT_LENGTH
 from leactl.cli.main import BROKEN_PIPE_STATUS, app
 from leactl.protocol.protocolfile import load
 from leactl.runner.campaign.campaignfile import names as campaigns
@@ -142,8 +142,8 @@ def test_bash_completes_names_and_parameters(words, names):
 
 
 def test_the_list_of_commands_says_what_the_help_of_each_begins_with():
-    listed = {name: command.get_short_help_str(UNCUT) for name, command in ROOT.commands.items()}
-    assert listed == {name: ROOT.get_command(None, name).get_short_help_str(UNCUT) for name in listed}
+    listed = {name: command.get_short_help_str(UNCUT_LENGTH) for name, command in ROOT.commands.items()}
+    assert listed == {name: ROOT.get_command(None, name).get_short_help_str(UNCUT_LENGTH) for name in listed}
 
 
 def test_help_imports_no_command():

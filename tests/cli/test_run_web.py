@@ -10,7 +10,7 @@ import h5py
 import pytest
 
 from leactl.quantities import ChannelSpec
-from leactl.report.web.feed import CAUSE, RunPage
+from leactl.report.web.feed import STOP_CAUSE, RunPage
 from leactl.runner.progress import Progress
 from tests.cli.terminal import COMMAND, leactl
 from tests.report.browser import needs_chromium
@@ -121,7 +121,7 @@ def test_a_browser_shows_the_run_and_its_stop_ends_it(here):
             page.press("Enter", 13)
             page.until("document.getElementById('stop').textContent === 'ENDED'")
             out, errors = run.communicate()
-            assert page.look("document.getElementById('notice').textContent") == CAUSE
+            assert page.look("document.getElementById('notice').textContent") == STOP_CAUSE
             assert json.loads(out)["run"] in page.look("document.getElementById('state').textContent")
             assert page.look("document.getElementById('values').rows.length") > 10
             page.picture(Path("page-ended.png"))
@@ -132,8 +132,8 @@ def test_a_browser_shows_the_run_and_its_stop_ends_it(here):
         run.kill()
         run.communicate()
     answer = json.loads(out)
-    assert (run.returncode, answer["status"], answer["reason"]) == (4, "stopped", CAUSE)
-    assert f"leactl: {CAUSE}\n" in errors
+    assert (run.returncode, answer["status"], answer["reason"]) == (4, "stopped", STOP_CAUSE)
+    assert f"leactl: {STOP_CAUSE}\n" in errors
     assert all(device["confirmed"] for device in answer["safe"].values())
     with h5py.File(answer["run"]) as file:
-        assert file.attrs["status_reason"] == CAUSE
+        assert file.attrs["status_reason"] == STOP_CAUSE

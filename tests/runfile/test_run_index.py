@@ -283,7 +283,7 @@ def test_an_index_takes_the_place_of_no_other_file(folder, tmp_path):
 
 
 def test_a_list_of_many_files_names_the_index(folder, monkeypatch):
-    monkeypatch.setattr("leactl.runfile.catalog.run_index.MANY", 10)
+    monkeypatch.setattr("leactl.runfile.catalog.run_index.MANY_FILES", 10)
     remarks = []
     list_runs(folder, remark=remarks.append)
     assert remarks == [f"10 files opened; leactl runs index {folder} makes the next list quick"]
@@ -297,7 +297,7 @@ def test_a_stop_keeps_what_was_read(folder, opened, monkeypatch):
     def stop(line):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("leactl.runfile.catalog.run_index.TOLD_EVERY", BATCH)
+    monkeypatch.setattr("leactl.runfile.catalog.run_index.PROGRESS_INTERVAL", BATCH)
     with pytest.raises(KeyboardInterrupt):
         update(folder, tell=stop)
     assert len(opened) == len(read(folder / NAME, folder)) == BATCH

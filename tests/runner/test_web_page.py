@@ -16,8 +16,16 @@ import pytest
 from leactl.errors import InputError, Stopped
 from leactl.quantities import ChannelSpec
 from leactl.report.web import STOP, feed
-from leactl.report.web.feed import CAUSE, RunPage
-from leactl.report.web.server import MOST_BYTES, MOST_OPEN, MOST_ROWS, HttpExchange, PageState, Site, answer
+from leactl.report.web.feed import STOP_CAUSE, RunPage
+from leactl.report.web.server import (
+    MOST_CONNECTIONS,
+    MOST_REQUEST_BYTES,
+    MOST_ROWS,
+    HttpExchange,
+    PageState,
+    Site,
+    answer,
+)
 from leactl.runfile.read.reader import Run
 from leactl.runner.progress import Progress
 
@@ -118,7 +126,7 @@ def test_the_address_that_is_printed_opens_the_page(client):
         ({"method": "HEAD"}, 405),
         ({"path": "/stop", "method": "POST", "body": b"x"}, 413),
         ({"path": "/stop", "method": "POST", "headers": {"Transfer-Encoding": "chunked"}}, 413),
-        ({"headers": {"X-Long": "x" * MOST_BYTES}}, 431),
+        ({"headers": {"X-Long": "x" * MOST_REQUEST_BYTES}}, 431),
     ],
 )
 def test_others_are_refused_and_nothing_is_stopped(page, client, changes, status):
@@ -267,10 +275,10 @@ def test_stop_ends_the_run_and_its_file_tells_the_cause(spin):
             watch=lambda progress: shown(page, progress, lambda client: client.ask("/stop", "POST")),
             stops=[page.stop_cause],
         )
-    assert (outcome.status, outcome.reason, type(outcome.error)) == ("stopped", CAUSE, Stopped)
+    assert (outcome.status, outcome.reason, type(outcome.error)) == ("stopped", STOP_CAUSE, Stopped)
     assert all(confirmation.safe for confirmation in outcome.safe.values())
     with Run.open(outcome.path) as run:
-        assert (run.attributes["status"], run.attributes["status_reason"]) == ("stopped", CAUSE)
+        assert (run.attributes["status"], run.attributes["status_reason"]) == ("stopped", STOP_CAUSE)
 
 
 def sockets(process="self"):
@@ -299,14 +307,14 @@ def test_stop_is_heard_where_nothing_can_be_shown_any_more(spin, monkeypatch):
         outcome, _bench = spin(
             sets=("hold_s=600",), watch=lambda progress: shown(page, progress, stop), stops=[page.stop_cause]
         )
-    assert (outcome.status, outcome.reason) == ("stopped", CAUSE)
+    assert (outcome.status, outcome.reason) == ("stopped", STOP_CAUSE)
     assert outcome.notes == ["the run's page is no longer fed: ZeroDivisionError: no such luck"]
 
 
 def slow(client):
     """Requests that never end, answers that are never read, and lines without sense, from ever more connections."""
     held = []
-    for number in range(3 * MOST_OPEN):
+    for number in range(3 * MOST_CONNECTIONS):
         connection = client.connect()
         held.append(connection)
         with suppress(OSError):
@@ -328,7 +336,9 @@ def test_the_run_is_complete_beside_hostile_clients_and_the_page_still_answers(s
         held.append(threading.Thread(target=flood))
         held[-1].start()
         assert "title" in client.state()
-        assert len(sockets(page._server.pid)) <= MOST_OPEN + 4  # its listener, a pair of its own, one that is answered
+        assert (
+            len(sockets(page._server.pid)) <= MOST_CONNECTIONS + 4
+        )  # its listener, a pair of its own, one that is answered
 
     with RunPage("127.0.0.1:0", "emulated") as page:
         outcome, _bench = spin(watch=lambda progress: shown(page, progress, attack), stops=[page.stop_cause])

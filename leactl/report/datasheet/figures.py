@@ -17,7 +17,7 @@ COLOURS = 6  # that the colour-blind can tell apart; classes s0 to s5 of datashe
 MARKS = ("dot", "ring", "square")
 MOST_SHARED_KINDS = 2  # kinds of points (labels of their series), up to which several conditions share one figure
 MOST_LEGEND_LINES = 2  # names of lines without points; if there are more, as of contours, names stand on the lines
-DENSE = 40  # points of a series; more are drawn small, or as a line if no line was fitted to them
+DENSE_POINTS = 40  # points of a series; more are drawn small, or as a line if no line was fitted to them
 SPELLINGS = {"emf": "EMF", "coulomb": "Coulomb", "rmse": "RMSE"}
 PRINTED_UNITS = {"degC": "°C", "ohm": "Ω", "mohm": "mΩ", "uH": "µH"}
 UNIT = re.compile(rf"(?<![\w])({'|'.join(PRINTED_UNITS)})(?![\w])")
@@ -155,15 +155,15 @@ def overlaid_layers(
 
 
 def point_layer(series: Series, name: str, colour: str, mark: str, plot: Plot) -> Layer:
-    """Return the layer of a series of points: marks, or a line through more than DENSE points in ascending order of x.
+    """Return the layer of a series of points: marks, or a line through more than DENSE_POINTS in ascending order of x.
 
     Points to which a line was fitted stay marks. A horizontal line does not count: it is a threshold or a mean.
     """
     x, y = arrays(series)
     has_fit = any(line.label.startswith(series.label) or len(set(line.y)) > 1 for line in plot.lines)
-    if len(x) > DENSE and not has_fit and bool(np.all(np.diff(x) > 0.0)):
+    if len(x) > DENSE_POINTS and not has_fit and bool(np.all(np.diff(x) > 0.0)):
         return LineMarks(name, f"line {colour}", x, y)
-    dense = max(len(drawn.x) for drawn in plot.points) > DENSE
+    dense = max(len(drawn.x) for drawn in plot.points) > DENSE_POINTS
     return PointMarks(name, f"fine {colour}" if dense else f"{mark} {colour}", x, y)
 
 

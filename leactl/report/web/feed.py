@@ -32,7 +32,7 @@ from leactl.report.html import render
 from leactl.report.web import FREE_PORT_HERE, LAST_REQUEST_S, STOP
 from leactl.runner.progress import Progress
 
-CAUSE: Final = "stopped by the operator: STOP in the run's page"
+STOP_CAUSE: Final = "stopped by the operator: STOP in the run's page"
 LINES_A_SECOND: Final = 4
 MOST_WARNINGS: Final = 50  # that the page shows; the newest ones
 PATIENCE_S: Final = 2.0  # that the server may take to end, beyond LAST_REQUEST_S
@@ -205,7 +205,7 @@ class RunPage:
         elif select.select([self._server_output], [], [], seconds)[0]:
             if os.read(self._server_output, len(STOP)) != STOP:
                 raise BrokenPipeError
-            self._cause = CAUSE
+            self._cause = STOP_CAUSE
 
     def _send(self) -> bool:
         """Write the unsent bytes as far as the pipe takes them; return whether all are written."""

@@ -26,15 +26,15 @@ from urllib.parse import parse_qs
 from leactl.report.web import LAST_REQUEST_S, STOP
 
 MOST_ROWS: Final = 240  # that are kept: a minute of them, at four a second
-MOST_OPEN: Final = 32  # connections at a time; one more closes the oldest
+MOST_CONNECTIONS: Final = 32  # at a time; one more closes the oldest
 MOST_ACCEPTED_PER_S: Final = 40  # connections; a page makes two a second
-MOST_BYTES: Final = 16384  # of a request
-MOST_DRAINING_READS: Final = 4  # of MOST_BYTES each, whose bytes are dropped once the answer is sent
+MOST_REQUEST_BYTES: Final = 16384  # of a request
+MOST_DRAINING_READS: Final = 4  # of MOST_REQUEST_BYTES each, whose bytes are dropped once the answer is sent
 DEADLINE_S: Final = 5.0  # from a connection's start to its end
 PART_PAUSE_S: Final = 0.05  # between two reads of a request that comes in parts
 NICENESS: Final = 10  # the control loop comes first where cores are short
 WATCHED_S: Final = 3.0  # since the last request with the token; a page that asked within that time counts as open
-MOST_LINE: Final = 1 << 20  # bytes of a line on stdin
+MOST_LINE_BYTES: Final = 1 << 20  # bytes of a line on stdin
 UNKNOWN_ENDING: Final = "nothing comes from the run any more; its terminal or its file tell how it ended"
 HEADERS: Final = {
     "Cache-Control": "no-store",
@@ -167,8 +167,8 @@ class HttpExchange(BaseHTTPRequestHandler):
 
 
 def answer(request: bytes, site: Site) -> bytes:
-    """Return the answer to the head of a request; one of more than MOST_BYTES is refused with status 431."""
-    if len(request) > MOST_BYTES:
+    """Return the answer to the head of a request; one of more than MOST_REQUEST_BYTES is refused with status 431."""
+    if len(request) > MOST_REQUEST_BYTES:
         return b"HTTP/1.1 431 Request Header Fields Too Large\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
     return HttpExchange(request, site).answer
 
@@ -180,7 +180,7 @@ async def serve(listener: socket.socket, site: Site) -> None:
     while True:
         with suppress(OSError):  # the client has closed the connection already
             connection, _ = await loop.sock_accept(listener)
-            if len(conversations) >= MOST_OPEN:
+            if len(conversations) >= MOST_CONNECTIONS:
                 next(iter(conversations)).cancel()
             task = loop.create_task(_converse(connection, site))
             conversations[task] = None
@@ -194,10 +194,10 @@ async def _converse(connection: socket.socket, site: Site) -> None:
     connection.setblocking(False)
     with connection, suppress(OSError):  # the client is gone or too slow; TimeoutError is an OSError
         async with asyncio.timeout(DEADLINE_S):
-            while b"\r\n\r\n" not in request and len(request) <= MOST_BYTES:
+            while b"\r\n\r\n" not in request and len(request) <= MOST_REQUEST_BYTES:
                 if request:
                     await asyncio.sleep(PART_PAUSE_S)
-                part = await loop.sock_recv(connection, MOST_BYTES)
+                part = await loop.sock_recv(connection, MOST_REQUEST_BYTES)
                 if not part:
                     return
                 request += part
@@ -205,7 +205,7 @@ async def _converse(connection: socket.socket, site: Site) -> None:
             connection.shutdown(socket.SHUT_WR)
             # a socket that is closed with unread bytes resets the connection, and the client may lose the answer
             for _ in range(MOST_DRAINING_READS):
-                if not await loop.sock_recv(connection, MOST_BYTES):
+                if not await loop.sock_recv(connection, MOST_REQUEST_BYTES):
                     return
 
 
@@ -220,7 +220,7 @@ async def _follow_the_run(feed: asyncio.StreamReader, site: Site) -> None:
 
 
 async def _main(listener: socket.socket) -> None:
-    feed = asyncio.StreamReader(limit=MOST_LINE)
+    feed = asyncio.StreamReader(limit=MOST_LINE_BYTES)
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(feed), sys.stdin)
     site = Site(**json.loads(await feed.readline()))
     serving = asyncio.create_task(serve(listener, site))

@@ -29,14 +29,14 @@ APPLICATION: Final = 0x6C656178  # "leax"
 VERSION: Final = 1  # increases if the meaning of a column changes
 # SQLite file format, 1.3: the file's first bytes, the user version and the application identifier
 MAGIC, VERSION_AT, APPLICATION_AT = b"SQLite format 3\0", slice(60, 64), slice(68, 72)
-MOST_BYTES: Final = 1 << 30  # some million runs
+MOST_INDEX_BYTES: Final = 1 << 30  # some million runs
 # a file that was changed less than this before it was read may change again within one tick of its file system's
 # clock, which is 2 s on FAT
 YOUNG_NS: Final = 2 * 10**9
-DIGITS: Final = 64  # of a SHA-256
+DIGEST_DIGITS: Final = 64  # of a SHA-256
 BATCH: Final = 32  # runs that are read at a time, in some 0.2 s
-TOLD_EVERY: Final = 10 * BATCH  # runs between two lines of progress
-MANY: Final = 1000  # number of files that takes some seconds to open
+PROGRESS_INTERVAL: Final = 10 * BATCH  # runs from one line of progress to the next
+MANY_FILES: Final = 1000  # number of files that takes some seconds to open
 
 KNOWN: Final = Summary._fields[1:-1]  # columns of the index: all fields but the folder and the tags
 STAMP: Final = ("mtime_ns", "ctime_ns", "inode")
@@ -124,7 +124,7 @@ class Catalogue:
                     stamp = stamps[run.file] if is_settled(run, stamps[run.file], began) else UNSETTLED
                     self.rows[run.file] = IndexedRun(stamp, run)
                     self.read += 1
-                if self.read % TOLD_EVERY == 0:
+                if self.read % PROGRESS_INTERVAL == 0:
                     tell(f"{self.read} of {len(due)} files read")
         finally:
             self.rows = {name: self.rows[name] for name in stamps if name in self.rows}
@@ -207,7 +207,7 @@ def list_runs(directory: Path, index: Path | None = None, remark: Tell = ignore)
     else:
         catalogue = Catalogue(directory)
         catalogue.refresh()
-        if catalogue.read >= MANY:
+        if catalogue.read >= MANY_FILES:
             remark(f"{catalogue.read} files opened; leactl runs index {directory} makes the next list quick")
     return with_tags(directory, catalogue.runs, remark)
 
@@ -294,7 +294,7 @@ def read(path: Path, directory: Path) -> dict[str, IndexedRun]:
     UnusableIndex : the file is damaged, of another version, or not an index.
     """
     try:
-        with open_regular(path, MOST_BYTES) as file:
+        with open_regular(path, MOST_INDEX_BYTES) as file:
             data = file.read()
     except OSError as fault:
         raise UnusableIndex(f"cannot be read: {fault.strerror}") from None
@@ -310,7 +310,7 @@ def read(path: Path, directory: Path) -> dict[str, IndexedRun]:
             if [sql for (sql,) in base.execute("SELECT sql FROM sqlite_schema WHERE sql NOT NULL")] != tables():
                 raise UnusableIndex("has other columns than this program's")
             (digest,) = base.execute("SELECT sha256 FROM digest").fetchone()
-            if not isinstance(digest, str) or len(digest) != DIGITS or digest_of(data, digest) != digest:
+            if not isinstance(digest, str) or len(digest) != DIGEST_DIGITS or digest_of(data, digest) != digest:
                 raise UnusableIndex("is damaged")
             if base.execute(f"SELECT EXISTS (SELECT * FROM runs WHERE {MISTYPED})").fetchone() != (0,):
                 raise UnusableIndex("is damaged")
@@ -346,7 +346,7 @@ def save(catalogue: Catalogue, path: Path) -> None:
         base.execute(f"PRAGMA user_version = {VERSION}")
         for table in tables():
             base.execute(table)
-        mark = token_hex(DIGITS // 2)
+        mark = token_hex(DIGEST_DIGITS // 2)
         base.execute("INSERT INTO digest VALUES (?)", (mark,))
         insert = f"INSERT INTO runs VALUES ({', '.join('?' * (len(KNOWN) + len(STAMP)))})"
         for row in catalogue.rows.values():

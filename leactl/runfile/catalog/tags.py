@@ -21,7 +21,7 @@ from leactl.yamlblock import Block
 from leactl.yamlfile import shown
 
 NAME: Final = "tags.json"
-MOST_BYTES: Final = 1 << 26  # a million runs
+MOST_TAG_BYTES: Final = 1 << 26  # a million runs
 WORD: Final = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}"
 Tag = Annotated[str, Field(pattern=f"^{WORD}$")]
 
@@ -116,7 +116,7 @@ def read_tags(directory: Path) -> TagFile:
     if not os.path.lexists(path):
         return TagFile()
     try:
-        with open_regular(path, MOST_BYTES) as file:
+        with open_regular(path, MOST_TAG_BYTES) as file:
             return TagFile.model_validate(json.loads(file.read()))
     except OSError as fault:
         raise InputError(f"{path}: cannot be read: {fault.strerror}") from None

@@ -18,15 +18,15 @@ from leactl.runfile.importing.streams import Stream
 from leactl.units import CONVERSIONS, TURN
 
 Array = npt.NDArray[np.float64]
-FEWEST = 50  # rows common to both channels
-CALIBRATION = 0.05  # relative difference of two sensors, or of a loop and its setpoint, if the units are right
-ERRORS = 4.0  # standard errors of the gain, added to `CALIBRATION` as tolerance of a unit's factor
+FEWEST_COMMON_ROWS = 50  # of two channels
+CALIBRATION_ERROR = 0.05  # relative difference of two sensors, or of a loop and its setpoint, if the units are right
+GAIN_ERROR_STDS = 4.0  # standard errors of the gain, added to `CALIBRATION_ERROR` as tolerance of a unit's factor
 LARGEST_GAIN_ERROR = 0.1  # relative standard error above which a gain is not used
-EXPLAINED = 0.9  # least share of one channel's squares that the other explains: a lag or a limit is no factor
+LEAST_EXPLAINED_SHARE = 0.9  # of one channel's squares, by the other: a lag or a limit is no factor
 SMALLEST_REPORTED_FACTOR = 2.0  # friction, ripple and limits cause smaller factors
 LARGEST_UNREPORTED_FACTOR = 20.0  # a larger factor, or its inverse, is reported even if it is not that of a unit
 LEAST_VARIATION = 0.1  # of a setpoint's root mean square; a setpoint that varies less shows its gain only by its level
-BLOCKS = 40  # parts of a record in which travel by angle and by velocity are compared, so that noise averages out
+TRAVEL_BLOCKS = 40  # parts of a record in which travel by angle and by velocity are compared: noise averages out
 SETPOINTS: Final = {name.removesuffix("_reference"): name for name in UNITS if name.endswith("_reference")}
 # the widest ranges of electric machines, from watchmaking to traction
 PLAUSIBLE: Final[dict[str, tuple[float, float]]] = {
@@ -41,10 +41,10 @@ PLAUSIBLE: Final[dict[str, tuple[float, float]]] = {
     "degC": (-100.0, 600.0),
     "1": (-0.001, 1.001),
 }
-GAP = 10.0  # usual intervals
+GAP_INTERVALS = 10.0  # of the usual length, beyond which an interval is a gap
 SHORTEST_GAP_S = 0.1  # shorter gaps may come from the scheduling of the logging program
-MOST_GAPS = 0.1  # share of the intervals; more long intervals than this are the log's normal sampling
-SHORTEST_S, LONGEST_S = 1e-7, 3600.0  # between samples
+MOST_GAP_SHARE = 0.1  # of the intervals; more long intervals than this are the log's normal sampling
+SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S = 1e-7, 3600.0  # between samples
 
 
 class MappedColumn(NamedTuple):
@@ -97,13 +97,13 @@ def notes_on_gain(
     reference : channel that should equal `column`.
     reference_text : `reference`, or what is computed from it, in words.
     """
-    if gain is None or gain.explained < EXPLAINED or gain.std > LARGEST_GAIN_ERROR * abs(gain.value):
+    if gain is None or gain.explained < LEAST_EXPLAINED_SHARE or gain.std > LARGEST_GAIN_ERROR * abs(gain.value):
         return
     size = abs(gain.value)
     distances = [
         (abs(math.log(size / factor)), unit_text) for factor, unit_text in [(1.0, ""), *unit_factors(column, reference)]
     ]
-    tolerance = math.log1p(CALIBRATION) + ERRORS * gain.std / size
+    tolerance = math.log1p(CALIBRATION_ERROR) + GAIN_ERROR_STDS * gain.std / size
     candidates = [unit_text for distance, unit_text in sorted(distances) if distance <= tolerance]
     finding = f"{column.path} reads {gain.value:.4g} times {reference_text}"
     if candidates and all(candidates):
@@ -138,16 +138,16 @@ def factors_of_mistaken_unit(column: MappedColumn) -> list[tuple[float, str]]:
 
 def gain_by_travel(velocity: MappedColumn, angle: MappedColumn) -> Gain | None:
     """Return the ratio of a velocity's integral to the change of its angle, over blocks; None for too few samples."""
-    if min(len(velocity.time), len(angle.time)) < FEWEST:
+    if min(len(velocity.time), len(angle.time)) < FEWEST_COMMON_ROWS:
         return None
     steps = np.diff(velocity.time) * 0.5 * (velocity.values[1:] + velocity.values[:-1])
     travelled = np.concatenate([[0.0], np.cumsum(steps)])
     common = (angle.time >= velocity.time[0]) & (angle.time <= velocity.time[-1])
     travel_steps = np.diff(np.interp(angle.time[common], velocity.time, travelled))
-    if len(travel_steps) < FEWEST:
+    if len(travel_steps) < FEWEST_COMMON_ROWS:
         return None
     angle_steps = unwrapped_steps(angle.values[common], travel_steps, angle.target)
-    block_starts = np.linspace(0, len(angle_steps), BLOCKS, endpoint=False).astype(int)
+    block_starts = np.linspace(0, len(angle_steps), TRAVEL_BLOCKS, endpoint=False).astype(int)
     return gain_through_zero(np.add.reduceat(travel_steps, block_starts), np.add.reduceat(angle_steps, block_starts))
 
 
@@ -165,8 +165,8 @@ def unwrapped_steps(angle: Array, travel_steps: Array, units: str) -> Array:
         return add_turns(steps, travel_steps, turn_of(steps, reach))
     # a shaft that turns by about whole turns from row to row seems to stand still or to turn slowly
     steps_plus_turns = add_turns(steps, travel_steps, TURN)
-    has_turns = (steps_plus_turns != steps) & (CALIBRATION * np.abs(travel_steps) < 0.125 * TURN)
-    close = np.abs(steps_plus_turns - travel_steps)[has_turns] <= CALIBRATION * np.abs(travel_steps)[has_turns]
+    has_turns = (steps_plus_turns != steps) & (CALIBRATION_ERROR * np.abs(travel_steps) < 0.125 * TURN)
+    close = np.abs(steps_plus_turns - travel_steps)[has_turns] <= CALIBRATION_ERROR * np.abs(travel_steps)[has_turns]
     return steps_plus_turns if reach <= TURN and (not has_turns.any() or close.mean() > 0.5) else steps
 
 
@@ -174,7 +174,7 @@ def turn_of(steps: Array, reach: float) -> float:
     """Return the size of the jumps of a wrapped angle: the difference of the steps at a jump and before it."""
     jumps = np.flatnonzero((np.abs(steps[1:]) > 0.5 * reach) & (steps[1:] * steps[:-1] < 0.0)) + 1
     turn = float(np.median(np.abs(steps[jumps] - steps[jumps - 1]))) if len(jumps) else reach
-    return TURN if abs(turn / TURN - 1.0) < CALIBRATION else turn
+    return TURN if abs(turn / TURN - 1.0) < CALIBRATION_ERROR else turn
 
 
 def add_turns(steps: Array, travel_steps: Array, turn: float) -> Array:
@@ -188,7 +188,7 @@ def gain_by_setpoint(column: MappedColumn, setpoint: MappedColumn, quantity: str
     None for an angle with a constant setpoint too, since the zero of an angle is arbitrary.
     """
     common = (column.time >= setpoint.time[0]) & (column.time <= setpoint.time[-1])
-    if common.sum() < FEWEST:
+    if common.sum() < FEWEST_COMMON_ROWS:
         return None
     measured, expected = column.values[common], np.interp(column.time[common], setpoint.time, setpoint.values)
     if np.std(expected) > LEAST_VARIATION * math.sqrt(float(np.mean(expected**2))):
@@ -213,7 +213,7 @@ def implausible_values(name: str, stream: Stream) -> Iterator[str]:
         yield f"stream {name}: {len(stream.time)} row; at least 2 were expected"
         return
     interval = float(np.median(np.diff(stream.time)))
-    if not SHORTEST_S <= interval <= LONGEST_S:
+    if not SHORTEST_INTERVAL_S <= interval <= LONGEST_INTERVAL_S:
         yield f"stream {name}: {interval:.3g} s between samples; are time.units right?"
     for spec, values in zip(stream.specs, stream.values, strict=True):
         low, high = PLAUSIBLE.get(spec.unit, (-np.inf, np.inf))
@@ -242,8 +242,8 @@ def notes_on_gaps(streams: dict[str, Stream]) -> Iterator[str]:
 def longest_gap(time: Array, usual: float) -> str:
     """Describe the longest gap between stamps far beyond the `usual` interval [s]; empty if there is none."""
     intervals = np.diff(time)
-    gaps = np.flatnonzero(intervals > max(GAP * usual, SHORTEST_GAP_S))
-    if not 0 < len(gaps) <= MOST_GAPS * len(intervals):
+    gaps = np.flatnonzero(intervals > max(GAP_INTERVALS * usual, SHORTEST_GAP_S))
+    if not 0 < len(gaps) <= MOST_GAP_SHARE * len(intervals):
         return ""
     longest = int(gaps[np.argmax(intervals[gaps])])
     shorter_gaps = f" and {len(gaps) - 1} shorter" if len(gaps) > 1 else ""

@@ -16,16 +16,18 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
-WINDOWS = 4  # windows in the shortest hold: the two around a row leave half of the hold undisturbed
-FEWEST = 8  # least rows of a window, so that its scatter can be estimated
-CHANGE = 5.0  # a level changes where the means of two windows differ by this many standard deviations
-CALM = 0.1  # quantile of the ratios by which the scatter of means is first estimated
-CALM_NORMAL = 0.2533  # |z| below which 20 % of a normal variable lie: half of the rows lie in holds, so 2 * CALM
-UNSURE = 2.0  # standard errors added to the estimated scatter of means
+WINDOWS_PER_HOLD = 4  # in the shortest hold: the two around a row leave half of the hold undisturbed
+FEWEST_WINDOW_ROWS = 8  # so that the scatter of a window can be estimated
+CHANGE_STDS = 5.0  # standard deviations by which the means of two windows differ where a level changes
+CALM_QUANTILE = 0.1  # of the ratios, by which the scatter of means is first estimated
+# |z| below which 20 % of a normal variable lie: half of the rows lie in holds, so 2 * CALM_QUANTILE
+CALM_NORMAL_QUANTILE = 0.2533
+SCATTER_ERROR_STDS = 2.0  # standard errors added to the estimated scatter of means
 MOST_ROUNDS = 20  # iterations of leaving out changes; fewer if the estimate no longer changes
-TAIL, BEYOND = 0.995, 2.5  # a row is off its level beyond 2.5 times the 99.5 % quantile of deviations (7 sd if normal)
-ROUNDED = 1e-9  # relative rounding error of a mean of equal numbers
-WANDERS = 0.25  # share of the smallest step between levels that a level may drift beyond its noise
+# a row is off its level beyond 2.5 times the 99.5 % quantile of deviations (7 sd if normal)
+TAIL_QUANTILE, TAIL_MULTIPLE = 0.995, 2.5
+ROUNDING_ERROR = 1e-9  # relative rounding error of a mean of equal numbers
+MOST_DRIFT_SHARE = 0.25  # of the smallest step between levels, that a level may drift beyond its noise
 
 
 class LevelHold(NamedTuple):
@@ -55,10 +57,10 @@ def find_holds(time: Array, values: Array, least_s: float, settle_s: float, is_s
     if not len(finite_rows):
         return []
     stamps, levels = time[finite_rows], median_of_three(values[finite_rows])
-    rounded = ROUNDED * float(np.abs(levels).max())
-    window = round(len(finite_rows) * least_s / WINDOWS / max(float(stamps[-1] - stamps[0]), least_s))
+    rounded = ROUNDING_ERROR * float(np.abs(levels).max())
+    window = round(len(finite_rows) * least_s / WINDOWS_PER_HOLD / max(float(stamps[-1] - stamps[0]), least_s))
     # rows after which a channel has no value for long, for example a setpoint while its drive is in another mode
-    silences = np.flatnonzero(np.diff(stamps, append=time[-1]) > least_s / WINDOWS) + 1
+    silences = np.flatnonzero(np.diff(stamps, append=time[-1]) > least_s / WINDOWS_PER_HOLD) + 1
 
     def lasting(holds: Iterable[LevelHold]) -> dict[LevelHold, LevelHold]:
         """Return the parts of holds that last `least_s`, in indices of all rows by those in indices of finite rows."""
@@ -69,8 +71,8 @@ def find_holds(time: Array, values: Array, least_s: float, settle_s: float, is_s
         ends = {part: float(time[min(hold.after, len(time) - 1)]) for part, hold in parts.items()}
         return {part: hold for part, hold in parts.items() if ends[part] - time[hold.first] >= least_s}
 
-    holds = lasting(constant_stretches(levels, rounded)) if is_setpoint or window < FEWEST else {}
-    if not holds and window >= FEWEST:
+    holds = lasting(constant_stretches(levels, rounded)) if is_setpoint or window < FEWEST_WINDOW_ROWS else {}
+    if not holds and window >= FEWEST_WINDOW_ROWS:
         means = WindowMeans(levels, window)
         holds = lasting(between_changes(levels, means, rounded))
         refuse_wandering([*holds], levels, means, stamps, settle_s, rounded)
@@ -136,15 +138,15 @@ class WindowMeans:
         if not noisy.any():
             return
         ratios = np.abs(self.change) / np.maximum(self.scatter, rounded)
-        colour = float(np.quantile(ratios[noisy], CALM)) / CALM_NORMAL
+        colour = float(np.quantile(ratios[noisy], CALM_QUANTILE)) / CALM_NORMAL_QUANTILE
         for _ in range(MOST_ROUNDS):
-            changes = np.concatenate([[0], np.cumsum(ratios > CHANGE * colour)])
+            changes = np.concatenate([[0], np.cumsum(ratios > CHANGE_STDS * colour)])
             rows = np.arange(len(ratios))
             low, high = np.maximum(rows - self.window, 0), np.minimum(rows + self.window + 1, len(ratios))
             calm = ratios[noisy & (changes[high] == changes[low])]  # no change within a window of these
             windows = max(len(calm) / self.window, 1.0)
             before, colour = colour, math.sqrt(float(np.mean(calm**2))) if len(calm) else 0.0
-            colour *= 1.0 + UNSURE / math.sqrt(2.0 * windows)  # an upper bound, since the windows are few
+            colour *= 1.0 + SCATTER_ERROR_STDS / math.sqrt(2.0 * windows)  # an upper bound, since the windows are few
             if colour == before:
                 break
         self.colour = colour
@@ -170,7 +172,7 @@ def between_changes(values: Array, means: WindowMeans, rounded: float) -> list[L
     steps = np.abs(np.diff(values))
     # the noise of a reading that rarely changes by a count cannot be estimated: half a count is no change
     count = float(steps[steps > rounded].min(initial=np.ptp(values))) + rounded
-    calm = np.abs(means.change) <= np.maximum(CHANGE * means.colour * means.scatter, 0.5 * count)
+    calm = np.abs(means.change) <= np.maximum(CHANGE_STDS * means.colour * means.scatter, 0.5 * count)
     if calm.all() and np.ptp(values) > rounded:
         raise NotDistinct("no change stands out of it")
     runs = [(first + window, after + window) for first, after in runs_of(calm)]
@@ -197,14 +199,14 @@ def hold_around(
     # without the rows whose windows reach into a change, if enough rows remain
     inner = values[first + window // 2 : after - window // 2]
     deviations = (inner if len(inner) >= window else values[first:after]) - level
-    row_tolerance = max(BEYOND * float(np.quantile(np.abs(deviations), TAIL)), count)
-    mean_tolerance = max(CHANGE * float(np.std(moving_mean(deviations, window // WINDOWS))), 0.5 * count)
+    row_tolerance = max(TAIL_MULTIPLE * float(np.quantile(np.abs(deviations), TAIL_QUANTILE)), count)
+    mean_tolerance = max(CHANGE_STDS * float(np.std(moving_mean(deviations, window // WINDOWS_PER_HOLD))), 0.5 * count)
     rows_at_level = bounds[0] + np.flatnonzero(np.abs(values[bounds[0] : bounds[1]] - level) <= row_tolerance)
     if not len(rows_at_level):
         return None
     begin, end = int(rows_at_level[0]), int(rows_at_level[-1]) + 1
     means_at_level = begin + np.flatnonzero(
-        np.abs(moving_mean(values[begin:end] - level, window // WINDOWS)) <= mean_tolerance
+        np.abs(moving_mean(values[begin:end] - level, window // WINDOWS_PER_HOLD)) <= mean_tolerance
     )
     if not len(means_at_level):
         return None
@@ -253,8 +255,8 @@ def refuse_wandering(
             continue
         rows = float(np.var(values[first : hold.after])) - float(np.var(inside))
         expected = 0.5 * means.colour**2 * max(rows, 0.0)
-        beyond = float(np.var(inside)) - expected * (1.0 + CHANGE * math.sqrt(2.0 / count))
+        beyond = float(np.var(inside)) - expected * (1.0 + CHANGE_STDS * math.sqrt(2.0 / count))
         wander = 2.0 * math.sqrt(max(beyond, 0.0))
-        if wander > max(WANDERS * means.least_step, rounded):
+        if wander > max(MOST_DRIFT_SHARE * means.least_step, rounded):
             begin = f"{stamps[hold.first]:.6g} s"
             raise NotDistinct(f"from {begin} on it wanders by {wander:.3g} and shows no change of level")

@@ -12,7 +12,7 @@ from leactl.runfile.importing.mapping import Mapping, StepsByColumn, StepsByHold
 from leactl.runfile.importing.streams import Stream
 from leactl.yamlfile import Document
 
-MOST_SEEN = 10  # labels listed in a message
+MOST_LABELS_SHOWN = 10  # in a message
 
 
 class ImportedStep(NamedTuple):
@@ -79,7 +79,7 @@ def by_column(
                 if not (isinstance(parameter, float) and math.isnan(parameter)):
                     steps[-1].parameters[name] = parameter
     if not steps:
-        present = ", ".join(list(dict.fromkeys(labels))[:MOST_SEEN])
+        present = ", ".join(list(dict.fromkeys(labels))[:MOST_LABELS_SHOWN])
         message = (
             f"{source}: none of {', '.join(settings.names)} stands in column {settings.column!r}, which has {present}"
         )

@@ -31,7 +31,7 @@ SETPOINT_TOLERANCE: Final = 0.05  # relative, of a reading to its setpoint
 FEWEST_JUMPS: Final = 2
 AMPERES: Final = (0.05, 5.0)  # largest current of a log in A; no actuator moves with such a current in mA
 VOLTS: Final = (0.5, 60.0)  # largest voltage of a log in V; windings have more mV, and rigs of more V are asked for
-SHORTEST_S, LONGEST_S = 2e-5, 10.0  # between the rows of logs
+SHORTEST_ROW_INTERVAL_S, LONGEST_ROW_INTERVAL_S = 2e-5, 10.0  # of logs
 EPOCHS: Final = {"s": 1e9, "ms": 1e12, "us": 1e15, "ns": 1e18}  # stamps in 2001; twice as large ones are in 2033
 VOLTS_OF_A_BUS: Final = (3.0, 1000.0)
 INDOORS_DEGC: Final = (5.0, 45.0)  # range of a log's coldest reading; the same numbers in degF are -15 to 7 degC
@@ -121,7 +121,8 @@ def units_of_time(stamps: Array, known: Sequence[str] = tuple(EPOCHS)) -> tuple[
         if epoch <= middle <= 2.2 * epoch:
             return [units], f"about {middle:.4g} is a date of these years in {units}"
     interval = float(np.median(np.diff(stamps))) if len(stamps) > 1 else math.nan
-    likely = [units for units in known if SHORTEST_S <= interval * SECONDS[units] <= LONGEST_S]
+    shortest, longest = SHORTEST_ROW_INTERVAL_S, LONGEST_ROW_INTERVAL_S
+    likely = [units for units in known if shortest <= interval * SECONDS[units] <= longest]
     return likely, f"{interval:.4g} from row to row"
 
 

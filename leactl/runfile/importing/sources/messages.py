@@ -36,7 +36,7 @@ STAMP_PARTS: Final = ("nanosec", "nanosecs", "nsec", "nsecs")  # ROS 2, ROS 1, a
 SECONDS_PARTS: Final = ("sec", "secs")
 RECORDER: Final = (("log_time",), ("publish_time",))  # paths of the recorder's stamps
 MOST_ELEMENTS: Final = 64  # of a list whose elements are listed; a longer one is an image or a point cloud
-DEEPEST: Final = 8  # nesting of the fields that are listed
+MOST_FIELD_LEVELS: Final = 8  # of nested fields that are listed
 MOST_SAMPLES: Final = 50  # messages of a topic from which its fields and joints are listed
 _KNOWN_FIELDS: dict[type[Any], tuple[str, ...]] = {}  # cache, since every message needs them
 NUMBERS = bool | int | float | np.number | np.bool_
@@ -379,7 +379,7 @@ def _leaves(node: Any, path: str, depth: int) -> Iterator[tuple[str, Any]]:
         below, value = f"{path}.{name}" if path else name, _child(node, name)
         if _nanoseconds(value) is not None or isinstance(value, NUMBERS | np.ndarray) or _are_numbers(value):
             yield below, value
-        elif depth < DEEPEST and _fields(value):
+        elif depth < MOST_FIELD_LEVELS and _fields(value):
             yield from _leaves(value, below, depth + 1)
 
 

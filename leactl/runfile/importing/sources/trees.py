@@ -19,7 +19,7 @@ from leactl.runfile.importing.sources.source import ListedColumn, ListedTable, M
 Array = npt.NDArray[np.float64]
 FEWEST_ROWS = 2  # of a table
 MOST_COLUMNS = 64  # of a matrix whose columns are listed
-SURVEYED = 200  # leading rows by which a column is judged to be numeric
+SURVEYED_ROWS = 200  # leading rows by which a column is judged to be numeric
 LONGEST_PATH = 200  # characters; deeper nodes are not listed
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
@@ -176,10 +176,10 @@ def _is_matrix(value: Any) -> bool:
     """Return whether a value is a matrix of numbers."""
     if isinstance(value, np.ndarray):
         return value.ndim == 2 and value.dtype.kind in "fiub" and not _is_column(value)
-    if not isinstance(value, list) or not all(isinstance(row, list) for row in value[:SURVEYED]):
+    if not isinstance(value, list) or not all(isinstance(row, list) for row in value[:SURVEYED_ROWS]):
         return False
-    widths = {len(row) for row in value[:SURVEYED]}
-    return len(widths) == 1 and widths != {0} and all(_is_number(cell) for row in value[:SURVEYED] for cell in row)
+    widths = {len(row) for row in value[:SURVEYED_ROWS]}
+    return len(widths) == 1 and widths != {0} and all(_is_number(cell) for row in value[:SURVEYED_ROWS] for cell in row)
 
 
 def _described(value: Any) -> str:
@@ -223,12 +223,12 @@ def _tables(node: Any, path: str) -> Iterator[ListedTable]:
         for columns in by_length.values():
             yield ListedTable(records, tuple(columns))
     elif isinstance(node, list) and len(node) >= FEWEST_ROWS and all(isinstance(item, dict) for item in node):
-        yield ListedTable(records, tuple(map(ListedColumn, _columns_of_records(node[:SURVEYED], ""))))
+        yield ListedTable(records, tuple(map(ListedColumn, _columns_of_records(node[:SURVEYED_ROWS], ""))))
     elif isinstance(node, np.ndarray) and node.ndim == 2 and node.dtype.kind in "fiub" and len(node) >= FEWEST_ROWS:
         yield ListedTable(records, tuple(map(ListedColumn, range(min(node.shape[1], MOST_COLUMNS)))))
     elif isinstance(node, list) and len(node) >= FEWEST_ROWS and all(isinstance(row, list) for row in node):
         width = min(len(row) for row in node)
-        numbers_at = [at for at in range(width) if all(_is_number(row[at]) for row in node[:SURVEYED])]
+        numbers_at = [at for at in range(width) if all(_is_number(row[at]) for row in node[:SURVEYED_ROWS])]
         yield ListedTable(records, tuple(map(ListedColumn, numbers_at)))
 
 
@@ -247,7 +247,7 @@ def _is_column(value: Any) -> bool:
     """Return whether a value is a column of numbers."""
     if isinstance(value, np.ndarray):
         return value.dtype.kind in "fiub" and value.size == max(value.shape, default=0) >= FEWEST_ROWS
-    return isinstance(value, list) and len(value) >= FEWEST_ROWS and all(map(_is_number, value[:SURVEYED]))
+    return isinstance(value, list) and len(value) >= FEWEST_ROWS and all(map(_is_number, value[:SURVEYED_ROWS]))
 
 
 def _is_number(value: Any) -> bool:

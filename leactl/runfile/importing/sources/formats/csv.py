@@ -17,7 +17,7 @@ from leactl.tables.columns import Columns
 
 Array = npt.NDArray[np.float64]
 ENDINGS = (".csv", ".txt", ".tsv")
-SURVEYED = 200  # leading rows by which a column is judged to be numeric
+SURVEYED_ROWS = 200  # leading rows by which a column is judged to be numeric
 
 
 def open_source(path: Path, request: SourceRequest) -> "CsvSource":
@@ -41,7 +41,9 @@ class CsvSource(Columns):
         form = request.csv
         wanted = None if request.columns is None else [column.name for column in request.columns]
         labels = [column.name for column in request.labels]
-        super().__init__(path, form, wanted, labels, options="csv.", most_rows=SURVEYED if wanted is None else None)
+        super().__init__(
+            path, form, wanted, labels, options="csv.", most_rows=SURVEYED_ROWS if wanted is None else None
+        )
         if not self.lines:
             raise InputError(f"{path}: no row of numbers after line {(form.data_line or form.header_line + 1) - 1}")
 

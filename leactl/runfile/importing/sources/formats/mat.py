@@ -22,7 +22,7 @@ from leactl.runfile.importing.sources.trees import TreeSource, Undecoded
 ENDINGS = (".mat",)
 MAT_HEADER: Final = 128  # bytes, of versions 5 to 7
 MAT_MATRIX, MAT_COMPRESSED = 14, 15  # types of an element: a variable, and a compressed variable
-BLOCK: Final = 1 << 20  # bytes that are decompressed at once
+BLOCK_BYTES: Final = 1 << 20  # bytes that are decompressed at once
 
 
 def open_source(path: Path, request: SourceRequest) -> TreeSource:
@@ -83,7 +83,7 @@ def check_unpacked_size(path: Path) -> None:
             deflate = zlib.decompressobj()
             while packed:
                 try:
-                    bytes_left -= len(deflate.decompress(packed, BLOCK))
+                    bytes_left -= len(deflate.decompress(packed, BLOCK_BYTES))
                 except zlib.error:
                     return  # damaged, as scipy will say
                 packed = deflate.unconsumed_tail

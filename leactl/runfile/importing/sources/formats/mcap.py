@@ -24,7 +24,7 @@ ENDINGS = (".mcap",)
 LARGEST_CHUNK: Final = 1 << 28  # bytes unpacked: recorders write some megabytes
 LARGEST_RECORD: Final = 1 << 28
 MAGIC: Final = b"\x89MCAP0\r\n"
-SHORTEST: Final = 2 * len(MAGIC) + 29  # bytes: both magics and a footer
+SHORTEST_FILE: Final = 2 * len(MAGIC) + 29  # bytes: both magics and a footer
 TRUNCATED = "truncated: it ends before its footer; `mcap recover` saves what is whole"
 
 
@@ -66,7 +66,7 @@ class McapFile:
         begins = self._file.read(len(MAGIC))
         if begins != MAGIC:
             raise InputError(f"{self._path}: {TRUNCATED if MAGIC.startswith(begins) else 'not an MCAP file'}")
-        if self._file.seek(0, os.SEEK_END) >= SHORTEST:
+        if self._file.seek(0, os.SEEK_END) >= SHORTEST_FILE:
             self._file.seek(-len(MAGIC), os.SEEK_END)
         if self._file.read() != MAGIC:
             raise InputError(f"{self._path}: {TRUNCATED}")

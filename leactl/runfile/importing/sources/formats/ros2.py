@@ -20,7 +20,7 @@ from leactl.runfile.importing.sources.source import SourceRequest, reason_text
 
 ENDINGS = (".db3",)
 METADATA: Final = "metadata.yaml"
-NEWEST: Final = 9  # version of the metadata
+NEWEST_METADATA: Final = 9  # version of the metadata
 SQLITE: Final = b"SQLite format 3\0"
 MOST_FILES: Final = 1000
 IN_ORDER: Final = "SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({}) ORDER BY id"
@@ -69,8 +69,8 @@ def files_of(folder: Path) -> tuple[list[Path], bool]:
     names = information.get("relative_file_paths") if isinstance(information, dict) else None
     if not isinstance(information, dict) or not isinstance(names, list) or not 0 < len(names) <= MOST_FILES:
         raise InputError(f"{folder / METADATA}: rosbag2_bagfile_information.relative_file_paths: files were expected")
-    if not isinstance(version := information.get("version"), int) or version > NEWEST:
-        raise InputError(f"{folder / METADATA}: version {version}; at most {NEWEST} is read")
+    if not isinstance(version := information.get("version"), int) or version > NEWEST_METADATA:
+        raise InputError(f"{folder / METADATA}: version {version}; at most {NEWEST_METADATA} is read")
     mode = str(information.get("compression_mode") or "none").lower()
     if mode not in ("none", "message", "storage"):
         hint = "its files are packed; unpack them by `zstd -d` and set compression_mode to none"
