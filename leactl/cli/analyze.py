@@ -26,7 +26,7 @@ def analyze(
         "", "--as", metavar="NAME", help="Analyse as this experiment, such as channels, which takes every protocol."
     ),
     channel: list[str] = typer.Option(
-        [], "--channel", metavar="NAME", help="Of channels: look at this one alone, such as torque; repeat it for more."
+        [], "--channel", metavar="NAME", help="With --as channels: only this channel, such as torque; may be repeated."
     ),
     torque_constant: float | None = typer.Option(
         None,

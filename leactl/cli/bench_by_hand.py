@@ -82,7 +82,7 @@ def resume(bench: str = RUNNING, as_json: bool = AS_JSON) -> None:
 
 
 def remark(
-    text: str = typer.Argument(help="What is to stand in the record."), bench: str = RUNNING, as_json: bool = AS_JSON
+    text: str = typer.Argument(help="Text for the record."), bench: str = RUNNING, as_json: bool = AS_JSON
 ) -> None:
     """Record a remark in the events of the run on a bench, with the moment at which the run sees it."""
     from leactl.errors import InputError
@@ -186,7 +186,7 @@ def read(
         "--every",
         metavar="SECONDS",
         min=0.02,
-        help="With --follow: between two lines; 1 s unless given.",
+        help="With --follow: time between two lines; by default 1 s.",
         callback=finite,
     ),
     channels: list[str] = typer.Option(
@@ -317,7 +317,9 @@ def jog(
     angle: float = typer.Option(
         None, metavar="RAD", help="Turn by this angle from where the shaft stands.", callback=finite
     ),
-    hold_s: float = typer.Option(1.0, "--for", metavar="SECONDS", help="How long to hold it.", callback=finite),
+    hold_s: float = typer.Option(
+        1.0, "--for", metavar="SECONDS", help="How long to hold the setpoint.", callback=finite
+    ),
     rate: float = typer.Option(
         None, help="A/s, rad/s^2 or rad/s on the way; 5, 10 or 0.5 unless given.", callback=finite
     ),
@@ -372,7 +374,7 @@ def jog(
 def recording(
     device: str = typer.Argument(help="Name of the device in the bench file."),
     bench: str = BENCH,
-    out: Path = typer.Option(..., "--out", help="File to save it in; it must not be there."),
+    out: Path = typer.Option(..., "--out", help="New file for the recording."),
     bus: list[str] = BUS,
     as_json: bool = AS_JSON,
 ) -> None:

@@ -24,7 +24,7 @@ def check(
         None,
         "--current",
         metavar="AMPERE",
-        help="Of --move; unless given, twice what friction takes, 3 to 20 % of the continuous current.",
+        help="Current of --move; by default twice what friction takes, 3 to 20 % of the continuous current.",
         callback=finite,
     ),
     yes: bool = typer.Option(False, "--yes", help="Do not ask before a real bench is moved."),
@@ -35,7 +35,7 @@ def check(
     bus: list[str] = BUS,
     trace: Path | None = TRACE,
     dry_run: bool = typer.Option(
-        False, "--dry-run", help="Of --devices and --move: check everything, print the last run's plan, open nothing."
+        False, "--dry-run", help="With --devices or --move: check everything, print the last run's plan, open nothing."
     ),
     as_json: bool = AS_JSON,
 ) -> None:

@@ -39,7 +39,7 @@ CAMPAIGN = typer.Argument(
     metavar="CAMPAIGN", help="Name of a shipped campaign, or a path to a .yaml.", autocompletion=campaigns
 )
 VARIANT = typer.Option("", help="Take the campaign's variant of this name.")
-SEED = typer.Option(None, min=0, max=2**63 - 1, help="Over the campaign's seed.")
+SEED = typer.Option(None, min=0, max=2**63 - 1, help="Seed instead of the campaign's.")
 OUT = typer.Option(None, help="Folder of the campaign; runs/NAME or runs/NAME-VARIANT where left out.")
 
 

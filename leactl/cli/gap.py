@@ -14,7 +14,7 @@ from leactl.cli.helptext import examples, group_of_commands
 
 app = group_of_commands()
 blind = group_of_commands()
-app.add_typer(blind, name="blind", help="Check the diagnosis on causes nobody told it.")
+app.add_typer(blind, name="blind", help="Check the diagnosis on withheld causes.")
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 MOST_SEEDS = 10**6  # random seeds are below this, so that they are short to type
 JSON, TO_STDOUT, RUN_FILE = "--json", "-", ".h5"
@@ -179,8 +179,8 @@ def plan_runs(
 
 @app.command(epilog=examples("gap demo", "gap demo --effect cogging --out cogging"))
 def demo(
-    seed: int | None = typer.Option(None, "--seed", min=0, help="Draw the same again; by default fresh entropy."),
-    effect: str | None = typer.Option(None, "--effect", help="Plant this one.", autocompletion=effects),
+    seed: int | None = typer.Option(None, "--seed", min=0, help="Seed of the draw; by default fresh entropy."),
+    effect: str | None = typer.Option(None, "--effect", help="Plant this effect.", autocompletion=effects),
     out: Path | None = typer.Option(None, "--out", help="New folder; by default leactl-gap-demo-SEED."),
     as_json: bool = AS_JSON,
 ) -> None:
@@ -216,11 +216,11 @@ def demo(
 def loop(
     robot: Path = typer.Argument(help="MJCF file."),
     runs: list[Path] = typer.Argument(metavar="RUN...", help="Run files of its position servo to learn from."),
-    joint: str = typer.Option(..., "--joint", help="Which joint of it."),
+    joint: str = typer.Option(..., "--joint", help="Joint in the file."),
     out: Path = typer.Option(..., "--out", help="New MJCF file, patched."),
     callbacks: Path = typer.Option(..., "--callbacks", help="New .py for MuJoCo with what MJCF cannot hold."),
     supply: float | None = typer.Option(
-        None, "--supply", min=0.1, max=1000.0, help="Of the servo [V].", callback=finite
+        None, "--supply", min=0.1, max=1000.0, help="Supply voltage of the servo [V].", callback=finite
     ),
     held_out: list[Path] = typer.Option([], "--held-out", help="A run to judge on; may be repeated."),
     write_model: Path | None = typer.Option(None, "--write-model", help="Write the augmented model, a new .yaml."),
@@ -250,7 +250,9 @@ def make_blind(
         None, "--machines", min=1, help="Draw so many machines, and cases on them; by default all are of the bench."
     ),
     simulator: str | None = typer.Option(
-        None, "--simulator", help="Of drawn machines: stepped, or mujoco from leactl[mujoco]; by default stepped."
+        None,
+        "--simulator",
+        help="Simulator of drawn machines: stepped, or mujoco from leactl[mujoco]; by default stepped.",
     ),
     as_json: bool = AS_JSON,
 ) -> None:

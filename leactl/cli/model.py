@@ -40,10 +40,10 @@ CTRL = typer.Option(Ctrl.TORQUE, "--ctrl", help="What ctrl of a torque actuator 
 )
 def import_model(
     robot: Path = typer.Argument(help="MJCF or URDF file."),
-    joint: str = typer.Option(..., "--joint", help="Which joint of it."),
+    joint: str = typer.Option(..., "--joint", help="Joint in the file."),
     out: Path | None = typer.Option(None, "--out", help="New model file; by default it is printed."),
     supply: float | None = typer.Option(
-        None, "--supply", min=0.1, max=1000.0, help="Of a position servo [V].", callback=finite
+        None, "--supply", min=0.1, max=1000.0, help="Supply voltage of a position servo [V].", callback=finite
     ),
     ctrl: Ctrl = CTRL,
     as_json: bool = AS_JSON,
@@ -79,11 +79,11 @@ def export_model(
     model: Path = typer.Argument(help="Model file, as `gap diagnose --write-model` writes it."),
     to: Format = typer.Option(..., "--to", help="mjcf or urdf, a patch of --into; json, a table for any simulator."),
     into: Path | None = typer.Option(None, "--into", help="MJCF or URDF file that is patched into --out."),
-    joint: str | None = typer.Option(None, "--joint", help="Which joint of it; by default the model's name."),
+    joint: str | None = typer.Option(None, "--joint", help="Joint in the file; by default the model's name."),
     out: Path | None = typer.Option(None, "--out", help="New file; a table is printed by default."),
     callbacks: Path | None = typer.Option(None, "--callbacks", help="New .py for MuJoCo with what MJCF cannot hold."),
     timestep: float | None = typer.Option(
-        None, "--timestep", min=1e-6, max=1.0, help="Of a table, to tell delays in steps [s].", callback=finite
+        None, "--timestep", min=1e-6, max=1.0, help="Time step in which a table states delays [s].", callback=finite
     ),
     ctrl: Ctrl = CTRL,
     as_json: bool = AS_JSON,

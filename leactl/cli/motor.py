@@ -14,9 +14,9 @@ app = group_of_commands()
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 MOTOR = typer.Argument(help="Name of a shipped motor, or a path to a .yaml.", autocompletion=complete_motors)
 AMBIENT = typer.Option(
-    25.0, "--ambient", min=-40.0, max=60.0, help="Of the air around the actuator [degC].", callback=finite
+    25.0, "--ambient", min=-40.0, max=60.0, help="Temperature of the air around the actuator [degC].", callback=finite
 )
-BUS = typer.Option(29.6, "--bus-voltage", min=0.1, max=1000.0, help="Of the drive's bus [V].", callback=finite)
+BUS = typer.Option(29.6, "--bus-voltage", min=0.1, max=1000.0, help="Voltage of the drive's bus [V].", callback=finite)
 
 
 @app.command("list", epilog=examples("motor list"))
@@ -69,13 +69,11 @@ def compare(
 @app.command(epilog=examples("motor scale --radius 60"))
 def scale(
     radius: float = typer.Option(
-        ..., "--radius", metavar="MM", help="Air-gap radius of the motor to be.", callback=finite
+        ..., "--radius", metavar="MM", help="Air-gap radius of the new motor.", callback=finite
     ),
-    motor: str = typer.Option(
-        "u8-kv100", help="The motor that is known, by name or path.", autocompletion=complete_motors
-    ),
+    motor: str = typer.Option("u8-kv100", help="The known motor, by name or path.", autocompletion=complete_motors),
     known_radius: float | None = typer.Option(
-        None, "--known-radius", metavar="MM", help="Its air-gap radius.", callback=finite
+        None, "--known-radius", metavar="MM", help="Air-gap radius of the known motor.", callback=finite
     ),
     as_json: bool = AS_JSON,
 ) -> None:
@@ -109,20 +107,27 @@ def energy(
         [], "--motor", help="Names or paths; all that ship by default.", autocompletion=complete_motors
     ),
     stride_time: float | None = typer.Option(None, metavar="S", help="How long a cycle takes.", callback=finite),
-    body_mass: float | None = typer.Option(None, metavar="KG", help="For torque_Nm_per_kg.", callback=finite),
+    body_mass: float | None = typer.Option(
+        None, metavar="KG", help="Body mass, for cycles with torque_Nm_per_kg.", callback=finite
+    ),
     ratio: float | None = typer.Option(
         None, help="Turns of the motor for one of the joint; by default the best.", callback=finite
     ),
-    efficiency: float = typer.Option(1.0, help="Of the transmission, either way.", callback=finite),
+    efficiency: float = typer.Option(1.0, help="Efficiency of the transmission, in either direction.", callback=finite),
     bus_voltage: float = BUS,
     line_current: float | None = typer.Option(
-        None, metavar="A", help="Largest amplitude in a lead of the drive.", callback=finite
+        None, metavar="A", help="Largest amplitude of the current in a lead of the drive.", callback=finite
     ),
     winding_temperature: float | None = typer.Option(
-        None, min=-50.0, max=250.0, metavar="DEGC", help="By default where many cycles lead to.", callback=finite
+        None,
+        min=-50.0,
+        max=250.0,
+        metavar="DEGC",
+        help="Temperature of the winding; by default the one after many cycles.",
+        callback=finite,
     ),
     ambient: float = AMBIENT,
-    harmonics: int = typer.Option(10, min=1, max=100, help="Of the angle that are kept."),
+    harmonics: int = typer.Option(10, min=1, max=100, help="Harmonics of the angle that are kept."),
     as_json: bool = AS_JSON,
 ) -> None:
     """Work out where the energy of a cycle goes, at the ratio of least electrical energy or at a given one."""
@@ -163,10 +168,14 @@ def energy(
 def preload_of(
     motor: str = typer.Option("lea", help="Name or path; its file has a `bearings:` block."),
     gap: list[float] = typer.Option(
-        [0.0, 0.5, 0.75], "--gap", metavar="MM", help="Between flexure and stator.", callback=finite
+        [0.0, 0.5, 0.75],
+        "--gap",
+        metavar="MM",
+        help="Gap between flexure and stator; may be repeated.",
+        callback=finite,
     ),
     rest_gap: float = typer.Option(
-        0.5, "--rest-gap", metavar="MM", help="At which a flexure is at rest.", callback=finite
+        0.5, "--rest-gap", metavar="MM", help="Gap at which a flexure is at rest.", callback=finite
     ),
     as_json: bool = AS_JSON,
 ) -> None:

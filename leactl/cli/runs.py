@@ -40,18 +40,18 @@ def remark(line: str) -> None:
 def list_runs(
     directory: Path = typer.Argument(Path("runs")),
     protocol: str = typer.Option("", help="Only runs of this protocol."),
-    actuator: str = typer.Option("", help="Only of this actuator."),
-    condition: str = typer.Option("", help="Only under this condition."),
-    status: str = typer.Option("", help="Only complete, stopped, tripped, failed, recording or recovered ones."),
-    since: str = typer.Option("", metavar="DATE", help="Only from this day (UTC) or moment on."),
-    until: str = typer.Option("", metavar="DATE", help="Only up to this day, which counts, or moment."),
+    actuator: str = typer.Option("", help="Only runs of this actuator."),
+    condition: str = typer.Option("", help="Only runs under this condition."),
+    status: str = typer.Option("", help="Only complete, stopped, tripped, failed, recording or recovered runs."),
+    since: str = typer.Option("", metavar="DATE", help="Only runs from this day (UTC) or moment on."),
+    until: str = typer.Option("", metavar="DATE", help="Only runs up to this day, which counts, or moment."),
     where: list[str] = typer.Option(
         [],
         metavar="EXPRESSION",
         help="Only where this holds, such as \"condition == 'loaded' and hold_s >= 6\", or hold_s=6 for short.",
     ),
     sort: str = typer.Option("file", metavar="KEY", help="file, created, duration, status, protocol or a parameter."),
-    reverse: bool = typer.Option(False, "--reverse", help="The last one first."),
+    reverse: bool = typer.Option(False, "--reverse", help="Print the list in reverse order."),
     index: Path | None = INDEX,
     as_json: bool = AS_JSON,
 ) -> None:
@@ -116,7 +116,7 @@ def index_runs(
 )
 def tag_runs(
     runs: list[Path] = typer.Argument(..., metavar="RUN...", help="Run files, or folders of them."),
-    tag: str = typer.Argument(..., metavar="TAG", help="A word such as paper."),
+    tag: str = typer.Argument(..., metavar="TAG", help="Word such as paper."),
     remove: bool = typer.Option(False, "--remove", help="Take the tag from the runs."),
     as_json: bool = AS_JSON,
 ) -> None:
@@ -139,12 +139,12 @@ def trend(
     result: str = typer.Argument(help="Name of a result, such as coulomb_friction."),
     runs: list[Path] = typer.Argument(None, metavar="[RUN]...", help="Run files or folders; by default runs."),
     actuator: str = typer.Option("", help="Only runs of this actuator."),
-    condition: str = typer.Option("", help="Only under this condition."),
+    condition: str = typer.Option("", help="Only runs under this condition."),
     baseline: int | None = typer.Option(
         None, "--baseline", min=8, metavar="N", help="Let limits rest on the first N values; by default on all."
     ),
     settings: list[str] = typer.Option(
-        [], "--set", metavar="NAME=NUMBER", help="What the analysis may be told, such as torque_constant=0.49."
+        [], "--set", metavar="NAME=NUMBER", help="Set a numeric option of the analysis, such as torque_constant=0.49."
     ),
     processes: int = PROCESSES,
     scheduler: str = SCHEDULER,
@@ -281,7 +281,7 @@ def convert(runs: list[Path] = typer.Argument(..., metavar="RUN..."), as_json: b
 
 @app.command(epilog=examples('runs annotate RUN.h5 "bearing greased" --author ana'))
 def annotate(
-    run: Path, text: str, author: str = typer.Option("", help="Who says so."), as_json: bool = AS_JSON
+    run: Path, text: str, author: str = typer.Option("", help="Author of the note."), as_json: bool = AS_JSON
 ) -> None:
     """Add a note to a run; its data stay as they are, and that is checked."""
     from leactl.runfile.read.reader import Run
@@ -422,8 +422,10 @@ def plot(
         None, metavar="[CHANNEL]...", help="Name, stream/name, quantity or quantity:role; every channel by default."
     ),
     step: str = typer.Option("", metavar="NAME", help="Only from the first step of this name to its last."),
-    start: float | None = typer.Option(None, "--from", metavar="SECONDS", help="Only from here.", callback=finite),
-    stop: float | None = typer.Option(None, "--to", metavar="SECONDS", help="Only up to here.", callback=finite),
+    start: float | None = typer.Option(
+        None, "--from", metavar="SECONDS", help="Only from this time on.", callback=finite
+    ),
+    stop: float | None = typer.Option(None, "--to", metavar="SECONDS", help="Only up to this time.", callback=finite),
     html: Path | None = typer.Option(None, "--html", metavar="FILE", help="Write a page that zooms instead."),
     as_json: bool = AS_JSON,
 ) -> None:
@@ -463,9 +465,11 @@ def plot(
 def tail(
     run: Path,
     channels: list[str] = typer.Argument(
-        None, metavar="[CHANNEL]...", help="As in `runs plot`; by default those of the stream with most channels."
+        None,
+        metavar="[CHANNEL]...",
+        help="Channels as in `runs plot`; by default those of the stream with most channels.",
     ),
-    rows: int = typer.Option(10, "--rows", min=0, help="How many of each stream are printed first."),
+    rows: int = typer.Option(10, "--rows", min=0, help="Rows of each stream that are printed first."),
     follow: bool = typer.Option(False, "--follow", help="Go on with what is added, until the run ends or Ctrl-C."),
     every: float = typer.Option(
         0.0, "--every", min=0.0, metavar="SECONDS", help="At most one row of a stream in this time.", callback=finite

@@ -98,11 +98,11 @@ def challenge(
     bench: str = typer.Argument(
         "emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches
     ),
-    minutes: float = typer.Option(1.0, help="How long to search, of all searches together.", callback=finite),
+    minutes: float = typer.Option(1.0, help="Time for all searches together.", callback=finite),
     rate: list[float] = typer.Option(
-        [], metavar="HZ", help="Of the control loop; may be repeated. [20 100 500 1000]", callback=finite
+        [], metavar="HZ", help="Rate of the control loop; may be repeated. [20 100 500 1000]", callback=finite
     ),
-    seed: int = typer.Option(0, min=0, help="Of the first draws; how far a search comes hangs on the machine."),
+    seed: int = typer.Option(0, min=0, help="Seed of the first draws; how far a search comes depends on the machine."),
     optimiser: str = typer.Option("changes", help="How the next course is chosen: changes, or cma from leactl[cma]."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:

@@ -22,7 +22,7 @@ def stats(
         None, metavar="N*m/A", help="Torque constant for friction.", callback=finite
     ),
     settings: list[str] = typer.Option(
-        [], "--set", metavar="NAME=NUMBER", help="What the analysis may be told, such as phase_resistance=0.28."
+        [], "--set", metavar="NAME=NUMBER", help="Set a numeric option of the analysis, such as phase_resistance=0.28."
     ),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:

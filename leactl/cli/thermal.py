@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 app = group_of_commands()
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 AMBIENT = typer.Option(
-    25.0, "--ambient", min=-40.0, max=60.0, help="Of the air around the actuator [degC].", callback=finite
+    25.0, "--ambient", min=-40.0, max=60.0, help="Temperature of the air around the actuator [degC].", callback=finite
 )
 BENCH = typer.Option("emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches)
 SET = typer.Option([], "--set", metavar="NAME=VALUE", help="Set a parameter of the protocol.", autocompletion=settings)
-ACTUATOR = typer.Option("", help="Label of the one under test.")
+ACTUATOR = typer.Option("", help="Label of the actuator under test.")
 COLD = typer.Option(False, "--cold", help="Nothing has heated the actuators.")
 
 
@@ -61,7 +61,9 @@ def limits(
 
 @app.command(epilog=examples("thermal state --bench emulated"))
 def state(
-    bench: str = BENCH, actuator: str = typer.Option("", help="Label of the one under test."), as_json: bool = AS_JSON
+    bench: str = BENCH,
+    actuator: str = typer.Option("", help="Label of the actuator under test."),
+    as_json: bool = AS_JSON,
 ) -> None:
     """Show how warm the windings of a bench may be by now, and how that is known."""
     from leactl.report.thermal import state_text
@@ -168,18 +170,18 @@ def commission(
         "emulated-heated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches
     ),
     overrides: list[str] = SET,
-    actuator: str = typer.Option("", help="Label of the one that is commissioned; asked for."),
-    runs: int = typer.Option(3, min=1, max=20, help="At most, those of --given and the whole protocol included."),
-    given: list[Path] = typer.Option([], metavar="RUN", help="A heated run of this actuator that is there already."),
+    actuator: str = typer.Option("", help="Label of the actuator that is commissioned; required."),
+    runs: int = typer.Option(3, min=1, max=20, help="Most runs, with those of --given and the whole protocol."),
+    given: list[Path] = typer.Option([], metavar="RUN", help="An earlier heated run of this actuator."),
     file: Path | None = typer.Option(None, help="The narrowed motor file. [ACTUATOR.yaml]"),
     camera_gain: float = typer.Option(
-        0.02, min=0.0, max=0.2, help="Share of a rise that the camera may be off by.", callback=finite
+        0.02, min=0.0, max=0.2, help="Error of the camera, as a share of a temperature rise.", callback=finite
     ),
     camera_offset: float = typer.Option(
-        2.0, min=0.0, max=20.0, help="That its zero may be off by [K].", callback=finite
+        2.0, min=0.0, max=20.0, help="Error of the camera's zero [K].", callback=finite
     ),
     current_repeats: float = typer.Option(
-        0.005, min=0.0, max=0.2, help="Share that a supply's reading changes by from run to run.", callback=finite
+        0.005, min=0.0, max=0.2, help="Relative change of a supply's reading from run to run.", callback=finite
     ),
     condition: str = typer.Option("", help="Condition of the runs."),
     operator: str = typer.Option("", help="Who runs the bench."),

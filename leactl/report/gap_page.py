@@ -16,7 +16,7 @@ from leactl.report.gap_simulator import simulator_sentences, simulator_tables
 from leactl.report.gap_words import (
     CLOSES_NOTHING,
     MENDED_FIRST,
-    PRESENT_FROM,
+    PRESENT_PROBABILITY,
     after_calibration,
     bare_units,
     calibration_rows,
@@ -98,7 +98,7 @@ def cause_content(cause: Cause, closes_no_gap: bool) -> dict[str, Any]:
         "effect": cause.effect,
         "probability": probability_text(cause.probability),
         "width": f"{100 * probability:.4g}%",
-        "weak": closes_no_gap or probability < PRESENT_FROM,
+        "weak": closes_no_gap or probability < PRESENT_PROBABILITY,
         "meaning": effect_meaning(cause.effect),
         "parameters": [(parameter.name, parameter_text(parameter)) for parameter in cause.parameters],
         "of_setup": cause.family == "setup",

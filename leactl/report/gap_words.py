@@ -25,7 +25,7 @@ from leactl.vocabulary.variable import VARIABLES
 CLOSES_NOTHING = "No gap of held-out runs shrinks with these effects by more than chance."
 MENDED_FIRST = "Gaps are of the runs once the set-up is mended."
 TIME = "time"  # name of time in `Rest.depends_on`
-PRESENT_FROM = 0.5  # probability from which a cause is said to act
+PRESENT_PROBABILITY = 0.5  # from which a cause is said to act
 NEAR_FLOOR = 1.1  # multiple of the floor below which a channel has no gap
 VERDICTS = {
     "none": "The model explains these runs; no gap is left.",
@@ -68,7 +68,7 @@ def claimed_causes(causes: Sequence[Cause]) -> list[str]:
     names: list[str] = []
     claimed: set[str] = set()
     for cause in causes:
-        if cause.probability < PRESENT_FROM or cause.effect in claimed:
+        if cause.probability < PRESENT_PROBABILITY or cause.effect in claimed:
             continue
         members = [cause.effect, *cause.indistinguishable_from]
         claimed.update(members)
