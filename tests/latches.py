@@ -6,7 +6,7 @@ from leactl.runner import latch
 
 def trip_of(bench):
     """The trip that holds the bench; None where none does."""
-    return next(iter(latch.tripped(bench).values()), None)
+    return next(iter(latch.tripped_latches(bench).values()), None)
 
 
 def latch_of(bench, in_process=True):
@@ -17,5 +17,5 @@ def latch_of(bench, in_process=True):
 
 def release(bench):
     """Take every latch of the bench away."""
-    for held in latch.tripped(bench):
+    for held in latch.tripped_latches(bench):
         held.release()

@@ -58,6 +58,6 @@ def release(word: str, bench: str, shown: Held) -> None:
 
 
 def _look(word: str, bench: str) -> Held:
-    # in this order: `tripped` reads the latches that `latch_lost_runs` writes
+    # in this order: `tripped_latches` reads the latches that `latch_lost_runs` writes
     unlatched = latch.latch_lost_runs(bench)
-    return Held(latch.tripped(word), unlatched)
+    return Held(latch.tripped_latches(word), unlatched)

@@ -205,7 +205,7 @@ def of(bench: BenchFile, file: str, in_process: bool) -> Latch:
     return Latch(bench.name, bench.name, paths, state.shared)
 
 
-def named(word: str) -> list[Latch]:
+def latches_named(word: str) -> list[Latch]:
     """Return every latch for a bench's name, as a trip reports it, or for the path of a bench file."""
     if Path(word).suffix not in (".yaml", ".yml"):
         return list(_by_name(word))
@@ -213,9 +213,9 @@ def named(word: str) -> list[Latch]:
     return [*_by_name(file.name, of_files=False), _of_file(file.name, Path(document.name))]
 
 
-def tripped(word: str) -> dict[Latch, Trip]:
-    """Return those of the latches `named` that hold a bench, with their trips."""
-    trips = {latch: latch.trip() for latch in named(word)}
+def tripped_latches(word: str) -> dict[Latch, Trip]:
+    """Return the latches of `latches_named` that hold a bench, with their trips."""
+    trips = {latch: latch.trip() for latch in latches_named(word)}
     return {latch: trip for latch, trip in trips.items() if trip is not None}
 
 

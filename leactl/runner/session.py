@@ -97,7 +97,7 @@ def execute(
         bench_latch = _opened_latch(request, until_end)
         run_description = request.bench.name, request.bench_document.name, request.plan.name
         with (
-            _watched(request, locks) as watchdog,
+            _watchdog_for(request, locks) as watchdog,
             runs_underway.announced(
                 *run_description, needed=not request.in_process, folder=state_folder
             ) as announcement,
@@ -109,7 +109,7 @@ def execute(
             with windings.remembered(announcement.renew):
                 bench.open()
                 try:
-                    operator_input = OperatorInput(partial(_paused, announcement, pauses), announcement.remarks)
+                    operator_input = OperatorInput(partial(_pause_wanted, announcement, pauses), announcement.remarks)
                     control = RunControl(stop, operator_input, operator)
                     outcome = _run(
                         RunContext(
@@ -153,7 +153,7 @@ def _has_watchdog(request: Request) -> bool:
     return request.realtime or not request.in_process
 
 
-def _watched(request: Request, locks: Sequence[int]) -> AbstractContextManager[NoWatchdog]:
+def _watchdog_for(request: Request, locks: Sequence[int]) -> AbstractContextManager[NoWatchdog]:
     """Return the run's watchdog; it gets no devices that are emulated in this process, which it cannot reach."""
     if not _has_watchdog(request):
         return nullcontext(NoWatchdog())
@@ -170,7 +170,7 @@ def _run(context: RunContext) -> Outcome:
             context.watchdog.take_over(unsafe)
         context.announcement.tell_safe(safe)
         raise
-    with _shown(context.watch, recording.progress):
+    with _view_of(context.watch, recording.progress):
         error = _run_loop(context, recording, loop)
         end = _make_safe_and_latch(context, error, recording.writer.path)
     return _close_file(context, recording, loop, end)
@@ -292,7 +292,7 @@ def _record_verdicts(
     return verdicts
 
 
-def _paused(announcement: Announcement, pauses: Sequence[Callable[[], bool]]) -> bool:
+def _pause_wanted(announcement: Announcement, pauses: Sequence[Callable[[], bool]]) -> bool:
     """Whether a pause is wanted: a key at the terminal toggles what `leactl bench pause` and `resume` set."""
     for pressed in pauses:
         if pressed():
@@ -301,7 +301,7 @@ def _paused(announcement: Announcement, pauses: Sequence[Callable[[], bool]]) ->
 
 
 @contextmanager
-def _shown(watch: Watch, progress: Progress) -> Iterator[None]:
+def _view_of(watch: Watch, progress: Progress) -> Iterator[None]:
     """Show a run until the block is left; the failure of a view is noted, and is never an error of the run."""
     view = ExitStack()
     try:

@@ -15,7 +15,7 @@ class AnglePath:
         """Take a setpoint for the next exchange; the last one before the exchange counts."""
         self._pending = value, now
 
-    def exchanged(self, measured: float, engaged: bool, now: float) -> None:
+    def update(self, measured: float, engaged: bool, now: float) -> None:
         """Update after an exchange; until the drive follows its setpoint, the base is the measured angle."""
         if not engaged or math.isnan(self.sent):
             self.sent, self.sent_at = (self.sent if math.isnan(measured) else measured), now

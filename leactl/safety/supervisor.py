@@ -282,7 +282,7 @@ class Supervisor:
         if drive.heats:
             allowed = self._thermal.allowed[role]
             if not -allowed <= value <= allowed:
-                value = self._scaled(role, drive, value, allowed)
+                value = self._scale(role, drive, value, allowed)
             elif drive.scaled:
                 drive.scaled = False
             if value != drive.demand:
@@ -292,7 +292,7 @@ class Supervisor:
             self._judge_angle(role, drive.path, value)
         drive.axis.motion.command(value)
 
-    def _scaled(self, role: str, drive: _SupervisedDrive, value: float, allowed: float) -> float:
+    def _scale(self, role: str, drive: _SupervisedDrive, value: float, allowed: float) -> float:
         """Return the part of a current [A] that the winding may carry; warn once as scaling begins."""
         if not drive.scaled:
             drive.scaled = True
@@ -343,7 +343,7 @@ class Supervisor:
             values = motion.values
             look(values, now)
             if drive.path is not None:
-                drive.path.exchanged(drive.measured_angle, motion.engaged, now)
+                drive.path.update(drive.measured_angle, motion.engaged, now)
             current = values[q_axis]
             if tracking.low <= current and current <= tracking.high:
                 tracking.since = NAN

@@ -274,7 +274,7 @@ class RealDrill:
         if reaction_s is not None and within_s is not None and reaction_s > within_s:
             faults.append(f"safe after {reaction_s:.2f} s; {within_s:g} s were expected")
         faults += [f"run file: {text}" for text in verify(outcome.path)]
-        latched = latch.tripped(self._bench)
+        latched = latch.tripped_latches(self._bench)
         notes = [f"the bench is latched: leactl bench reset {self._bench}"] if latched else []
         return DrillFinding(
             name,

@@ -66,23 +66,23 @@ class MeasuredStreams:
     def _looks_at(self, stream: StreamSpec) -> Iterator[Callable[[Row], None]]:
         """Yield a function for each comparison that the channels of a stream allow."""
         comparisons = {
-            "winding_temperature": self._winding,
-            "housing_temperature": self._housing,
-            "line_current": self._leads,
+            "winding_temperature": self._compare_winding,
+            "housing_temperature": self._compare_housing,
+            "line_current": self._tell_leads,
         }
         indices = {(channel.role, channel.quantity): index for index, channel in enumerate(stream.channels)}
         for (_role, quantity), index in indices.items():
             if quantity == "ambient_temperature":
-                yield partial(self._air, index)
+                yield partial(self._compare_air, index)
         for (role, quantity), index in indices.items():
             if role in self._guard.roles and quantity in comparisons:
                 yield partial(comparisons[quantity], role, index)
         for role in self._guard.roles:
             voltage, current = indices.get((role, "line_voltage")), indices.get((role, "line_current"))
             if voltage is not None and current is not None:
-                yield partial(self._resistance, role, voltage, current, LeadResistance(self._guard.boxes[role]))
+                yield partial(self._compare_resistance, role, voltage, current, LeadResistance(self._guard.boxes[role]))
 
-    def _air(self, index: int, row: Row) -> None:
+    def _compare_air(self, index: int, row: Row) -> None:
         ambient = self._guard.ambient
         most = ambient + min(box.ambient_rise for box in self._guard.boxes.values()) + SENSOR_ERROR_K
         if row.values[index] > most:
@@ -91,13 +91,13 @@ class MeasuredStreams:
                 f" the bench file tells {ambient:g} degC: correct its ambient_temperature_degC"
             )
 
-    def _winding(self, role: str, index: int, row: Row) -> None:
+    def _compare_winding(self, role: str, index: int, row: Row) -> None:
         self._compare(role, "winding is measured", row.values[index], self._guard.hottest[role])
 
-    def _housing(self, role: str, index: int, row: Row) -> None:
+    def _compare_housing(self, role: str, index: int, row: Row) -> None:
         self._compare(role, "housing is measured", row.values[index], float(self._guard.node_bounds[role][HOUSING]))
 
-    def _resistance(self, role: str, voltage: int, current: int, leads: LeadResistance, row: Row) -> None:
+    def _compare_resistance(self, role: str, voltage: int, current: int, leads: LeadResistance, row: Row) -> None:
         least = leads.least(row.values[voltage], row.values[current], row.time)
         self._compare(role, "winding is by its resistance", least, self._guard.hottest[role])
 
@@ -108,7 +108,7 @@ class MeasuredStreams:
                 f" can be above {bound:.1f} degC: cooling, tolerances or sensor are not what they are taken to be"
             )
 
-    def _leads(self, role: str, index: int, row: Row) -> None:
+    def _tell_leads(self, role: str, index: int, row: Row) -> None:
         reading = row.values[index]
         if reading == reading:
             self._currents.tell(role, row.stream, reading)
