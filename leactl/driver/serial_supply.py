@@ -18,12 +18,12 @@ from leactl.driver.serial_port import SerialPort
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 
-MOST_LOST = 3  # rounds, or tries to put settings back, lost in sequence, after which an error is raised
-LEAVE_S = 2.0  # for settings to be put back, beside answers that are lost
-TRY_S = 0.1
-REGULATION_SHARE, REGULATION_S = 0.03, 1.0  # share by which, and time for which, the output may be off what is set
-REGULATION_V, REGULATION_A = 0.1, 0.1  # and beside that
-WHOLE = 1e-6  # of a step, by which a number that is written in decimals may miss it
+MOST_FAILURES = 3  # in sequence, of rounds or of attempts to restore the settings; the third raises
+RESTORE_S = 2.0  # time to restore the settings, without the timeouts of lost answers
+TRY_S = 0.1  # least time for one attempt to switch off
+# an output may differ from its set level by this share of the level plus this many V or A, for this long
+REGULATION_SHARE, REGULATION_V, REGULATION_A, REGULATION_S = 0.03, 0.1, 0.1, 1.0
+STEP_TOLERANCE = 1e-6  # of a step: rounding error of a decimal number divided by the step
 QUANTITIES = {"leads": ("line_voltage", "line_current"), "bus": ("bus_voltage", "bus_current")}
 
 
@@ -46,10 +46,10 @@ class SwitchOffTrouble:
 
 
 class Regulation:
-    """Watches whether an output that is on gives what is set, for an instrument that does not tell."""
+    """Watches whether an output that is on keeps its set levels, for an instrument that does not report it."""
 
     def __init__(self) -> None:
-        self._astray_since: float | None = None  # None: nothing has been put out since the last command
+        self._astray_since: float | None = None  # None: no measurement since the last command
 
     def begin_anew(self) -> None:
         """Allow `REGULATION_S` for the output to follow a command."""
@@ -58,13 +58,15 @@ class Regulation:
     def is_lost(self, measured: tuple[float, float], levels: tuple[float, float], limited: bool, moment: float) -> bool:
         """Whether the output has been off its levels [V, A] for longer than `REGULATION_S`, with this measurement.
 
-        `limited` tells that the current is regulated, and else the voltage; the other one may be below its level.
+        If `limited`, the instrument regulates the current, otherwise the voltage; the quantity that it does not
+        regulate may be below its level.
         """
         (volts, amperes), (set_volts, set_amperes) = measured, levels
-        room_v, room_a = REGULATION_SHARE * set_volts + REGULATION_V, REGULATION_SHARE * set_amperes + REGULATION_A
+        tolerance_v = REGULATION_SHARE * set_volts + REGULATION_V
+        tolerance_a = REGULATION_SHARE * set_amperes + REGULATION_A
         over_v, over_a = volts - set_volts, amperes - set_amperes
-        regulated = over_a >= -room_a if limited else over_v >= -room_v
-        if (regulated and over_v <= room_v and over_a <= room_a) or self._astray_since is None:
+        reached = over_a >= -tolerance_a if limited else over_v >= -tolerance_v
+        if (reached and over_v <= tolerance_v and over_a <= tolerance_a) or self._astray_since is None:
             self._astray_since = moment
         return moment - self._astray_since >= REGULATION_S
 
@@ -78,7 +80,7 @@ def refuse_between_steps(name: str, levels: tuple[float, float], steps: tuple[fl
     """
     for value, step, unit in zip(levels, steps, "VA", strict=True):
         count = value / step
-        if math.isfinite(count) and abs(count - round(count)) > WHOLE:
+        if math.isfinite(count) and abs(count - round(count)) > STEP_TOLERANCE:
             raise InputError(f"{name}: {value:g} {unit} asked of a supply with steps of {step:g} {unit}")
 
 
@@ -103,14 +105,14 @@ class Dialogue(Protocol):
     def leave(self) -> Script[Sequence[str]]:
         """Restore the settings that `set_up` changed; returns their names.
 
-        After an error it is run again, and restores those that are not confirmed.
+        After an error it is run again and restores the settings that are not confirmed yet.
 
         Raises
         ------
         DeviceError : a setting reads back differently.
         """
 
-    def in_step(self) -> Script[object]:
+    def synchronise(self) -> Script[object]:
         """Drop replies to earlier queries."""
 
     def put(self, voltage: float, current: float) -> Script[None]:
@@ -121,7 +123,7 @@ class Dialogue(Protocol):
         DeviceError : a level reads back differently.
         """
 
-    def switched(self, on: bool) -> Script[None]:
+    def switch(self, on: bool) -> Script[None]:
         """Switch the output and check its state.
 
         Raises
@@ -129,7 +131,7 @@ class Dialogue(Protocol):
         DeviceFault : the output is not in the demanded state.
         """
 
-    def measured(self) -> Script[SupplyReading]:
+    def measure(self) -> Script[SupplyReading]:
         """Measure voltage and current, and read the state of the instrument."""
 
 
@@ -163,7 +165,7 @@ class SupplyLine:
     def __init__(
         self, name: str, role: str, settings: SupplySettings, port: SerialPort, dialogue: Dialogue, try_s: float = TRY_S
     ) -> None:
-        """`try_s`: least time for one try of `output_off` [s], beside others of half the time that is left each."""
+        """`try_s`: least time for one attempt of `output_off` [s]; an attempt takes half of the remaining time."""
         self._name, self._port, self._clock, self._dialogue = name, port, port.clock, dialogue
         self._answer_s, self._period_s, self._try_s = settings.answer_s, settings.period_s, try_s
         self.most = settings.voltage_limit_V, settings.current_limit_A
@@ -270,16 +272,16 @@ class SupplyLine:
         self._opened = False
         try:
             if self._seen_off:
-                self._put_back()
+                self._restore_settings()
         except DeviceError as error:
             raise type(error)(f"its protections were not put back as they were found: {error}") from None
         finally:
             self._port.close()
 
-    def _put_back(self) -> None:
-        """Restore the settings; after an error over a new connection, in `MOST_LOST` tries at most."""
-        deadline = self._clock.now() + LEAVE_S + MOST_LOST * self._answer_s
-        for tries_left in reversed(range(MOST_LOST)):
+    def _restore_settings(self) -> None:
+        """Restore the settings; after an error over a new connection, in `MOST_FAILURES` attempts at most."""
+        deadline = self._clock.now() + RESTORE_S + MOST_FAILURES * self._answer_s
+        for tries_left in reversed(range(MOST_FAILURES)):
             try:
                 self._port.discard()
                 Talk(self._port, self._dialogue.leave(), self._answer_s).finish(deadline)
@@ -348,29 +350,29 @@ class SupplyLine:
 
     def _conversation(self) -> Script[None]:
         """Carry out demands and measure in between; a lost reply loses a round, the third in sequence raises."""
-        due, lost_rounds, in_step = -math.inf, 0, False
+        due, lost_rounds, synchronised = -math.inf, 0, False
         while True:
             try:
-                if not in_step:
-                    yield from self._dialogue.in_step()
-                    in_step = True
+                if not synchronised:
+                    yield from self._dialogue.synchronise()
+                    synchronised = True
                 yield from self._carry_out()
                 if self._clock.now() < due:
                     yield Pause()
                     continue
                 due = self._clock.now() + self._period_s
-                self._judge((yield from self._dialogue.measured()))
+                self._judge((yield from self._dialogue.measure()))
                 lost_rounds = 0
             except (NoAnswer, Unreadable) as error:
-                lost_rounds, in_step = lost_rounds + 1, False
-                if lost_rounds >= MOST_LOST:
+                lost_rounds, synchronised = lost_rounds + 1, False
+                if lost_rounds >= MOST_FAILURES:
                     raise
                 self._notices.append(f"a round was lost: {error}")
 
     def _carry_out(self) -> Script[None]:
         """Carry out demands in the order off, levels, on; a demand stays until it is confirmed."""
         if self._switch is False:
-            yield from self._dialogue.switched(False)
+            yield from self._dialogue.switch(False)
             self.supplying, self._switch = False, None if self._switch is False else self._switch
         if self._levels is not None:
             levels = self._levels
@@ -378,7 +380,7 @@ class SupplyLine:
             self._levels = None if self._levels is levels else self._levels
         if self._switch is True:
             self._asked_on = True
-            yield from self._dialogue.switched(True)
+            yield from self._dialogue.switch(True)
             self.supplying, self._switch = True, None if self._switch is True else self._switch
 
     def _judge(self, reading: SupplyReading) -> None:

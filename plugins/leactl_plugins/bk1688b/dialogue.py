@@ -12,14 +12,14 @@ from leactl.driver.serial_supply import Regulation, SupplyReading, SwitchOffTrou
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl_plugins.bk1688b import replies
 from leactl_plugins.bk1688b.replies import OK, Display, LevelCounts, parse_last_line
-from leactl_plugins.bk1688b.settings import HIGHEST, LEAST_V, STEP_V, Bk1688bSettings, is_near
+from leactl_plugins.bk1688b.settings import HIGHEST_RATING, LEAST_V, STEP_V, Bk1688bSettings, is_near
 
-ON, OFF = "SOUT0", "SOUT1"  # the manual's own sense
+ON, OFF = "SOUT0", "SOUT1"  # by the manual: 0 switches on, 1 off
 DISPLAY = Query("GETD", replies.parse_display, last=OK)
-LOOKS = 40  # at the display, some 40 ms each, until a switched output has risen or fallen
-MARKS = 10  # settings from 1.0 V to 1.9 V
-SETTINGS_S = 1.0  # between two looks at what is set, which a person may change at the panel
-BEYOND = 1.2  # times its limits: what a supply does not show
+MOST_DISPLAY_READINGS = 40  # about 40 ms each, until a switched output has risen or fallen
+MARK_COUNT = 10  # voltage settings from 1.0 V to 1.9 V; each try to switch off sets another
+SETTINGS_S = 1.0  # time between two readings of the settings, which a person may change at the panel
+MOST_OVER_LIMIT = 1.2  # largest display of a supply over its limits
 
 
 class Bk1688bDialogue:
@@ -29,19 +29,19 @@ class Bk1688bDialogue:
 
     def __init__(self, settings: Bk1688bSettings) -> None:
         self._settings, self._step = settings, settings.rating.step_A
-        self._held = LevelCounts(round(LEAST_V / STEP_V), 0)  # what was commanded
-        self._most = HIGHEST  # V and A; it may be another model until it reports its limits
+        self._commanded = LevelCounts(round(LEAST_V / STEP_V), 0)
+        self._limits = HIGHEST_RATING  # V and A; it may be another model until it reports its limits
         self._mark = 0
-        self._looked = 0.0
+        self._settings_read_at = 0.0  # time [s]
         self._regulation = Regulation()
-        self._panel = ""  # what was set there
+        self._panel = ""  # fault text if the settings were changed at the panel
 
-    def in_step(self) -> Script[LevelCounts]:
+    def synchronise(self) -> Script[LevelCounts]:
         """Query the settings and drop all replies before six digits, which belong to earlier queries."""
-        held: LevelCounts = yield from ask(
+        levels: LevelCounts = yield from ask(
             Query("GETS", parse_last_line(2, replies.parse_levels), patient=True, last=OK)
         )
-        return held
+        return levels
 
     def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
         """Switch off repeatedly until no voltage and no current are measured at the terminals.
@@ -52,12 +52,12 @@ class Bk1688bDialogue:
         while True:
             yield b"\r"
             yield from ask(Query(OFF, parse_last_line(1, replies.parse_done), patient=True, last=OK))
-            self._mark = (self._mark + 1) % MARKS
+            self._mark = (self._mark + 1) % MARK_COUNT
             volts = round(LEAST_V / STEP_V) + self._mark
             yield from ask(Query(f"VOLT{volts:03d}", parse_last_line(1, replies.parse_done), patient=True, last=OK))
             yield from ask(Query("GETS", parse_last_line(2, _levels_with(volts)), patient=True, last=OK))
             shown: Display = yield from ask(DISPLAY)
-            if not self._on(shown):
+            if not self._is_on(shown):
                 return Confirmation(True, f"output off, {_display_text(shown)}")
             off_trouble.text = f"the output is still on, {_display_text(shown)}"
 
@@ -75,7 +75,7 @@ class Bk1688bDialogue:
             most: LevelCounts = yield from ask(Query("GMAX", replies.parse_levels, last=OK))
         except NoAnswer:
             notices.append(f"does not tell its limits (GMAX); it is taken for a {self._settings.model}")
-            yield from self.in_step()
+            yield from self.synchronise()
         else:
             volts, amperes = most.volts * STEP_V, most.amperes * self._step
             if not is_near(most, rating):
@@ -83,7 +83,7 @@ class Bk1688bDialogue:
                     f"limits of {volts:.1f} V and {amperes:.1f} A answer; a {self._settings.model} with"
                     f" {rating.voltage:g} V and {rating.current:g} A was expected"
                 )
-            self._most = volts, amperes
+            self._limits = volts, amperes
         yield from self._put(LevelCounts(round(LEAST_V / STEP_V), 0))
         return notices
 
@@ -101,16 +101,18 @@ class Bk1688bDialogue:
         """
         yield from self._put(LevelCounts(round(voltage / STEP_V), round(current / self._step)))
 
-    def _put(self, wanted: LevelCounts) -> Script[None]:
-        self._held = wanted
+    def _put(self, levels: LevelCounts) -> Script[None]:
+        self._commanded = levels
         self._regulation.begin_anew()
-        yield from ask(_command(f"CURR{wanted.amperes:03d}"))
-        yield from ask(_command(f"VOLT{wanted.volts:03d}"))
-        held: LevelCounts = yield from ask(Query("GETS", replies.parse_levels, last=OK))
-        if held != wanted:
-            raise DeviceError(f"{self._spelt(held)} are set after {self._spelt(wanted)} were commanded")
+        yield from ask(_command(f"CURR{levels.amperes:03d}"))
+        yield from ask(_command(f"VOLT{levels.volts:03d}"))
+        read_back: LevelCounts = yield from ask(Query("GETS", replies.parse_levels, last=OK))
+        if read_back != levels:
+            raise DeviceError(
+                f"{self._levels_text(read_back)} are set after {self._levels_text(levels)} were commanded"
+            )
 
-    def switched(self, on: bool) -> Script[None]:
+    def switch(self, on: bool) -> Script[None]:
         """Switch the output and check it by the measured voltage and current.
 
         Raises
@@ -119,13 +121,13 @@ class Bk1688bDialogue:
         """
         self._regulation.begin_anew()
         yield from ask(_command(ON if on else OFF))
-        for _ in range(LOOKS):
+        for _ in range(MOST_DISPLAY_READINGS):
             shown: Display = yield from ask(DISPLAY)
-            if self._on(shown) is on:
+            if self._is_on(shown) is on:
                 return
         raise DeviceFault(f"the output does not switch {'on' if on else 'off'}, {_display_text(shown)}")
 
-    def measured(self) -> Script[SupplyReading]:
+    def measure(self) -> Script[SupplyReading]:
         """Measure voltage, current and regulation mode; every `SETTINGS_S`, also read the settings.
 
         Raises
@@ -135,40 +137,40 @@ class Bk1688bDialogue:
         answer = yield DISPLAY
         assert answer is not None
         shown: Display = answer.value
-        volts, amperes = self._most
-        if shown.voltage > BEYOND * volts or shown.current > BEYOND * amperes:
+        volts, amperes = self._limits
+        if shown.voltage > MOST_OVER_LIMIT * volts or shown.current > MOST_OVER_LIMIT * amperes:
             raise Unreadable(
                 f"GETD was answered by {_display_text(shown)} where no more than {volts:g} V and {amperes:g} A can be"
             )
-        on = self._on(shown)
+        on = self._is_on(shown)
         mode = ("constant current" if shown.limited else "constant voltage") if on else ""
-        if answer.seen - self._looked >= SETTINGS_S:
-            self._looked = answer.seen
-            held = yield from self.in_step()
-            wanted = self._held
+        if answer.seen - self._settings_read_at >= SETTINGS_S:
+            self._settings_read_at = answer.seen
+            levels = yield from self.synchronise()
+            commanded = self._commanded
             self._panel = (
-                f"set to {self._spelt(held)} at its panel; {self._spelt(wanted)} were commanded"
-                if held != wanted
+                f"set to {self._levels_text(levels)} at its panel; {self._levels_text(commanded)} were commanded"
+                if levels != commanded
                 else ""
             )
-        fault = self._panel or (self._astray(shown, answer) if on else "")
+        fault = self._panel or (self._regulation_fault(shown, answer) if on else "")
         return SupplyReading((answer.asked + answer.seen) / 2, shown.voltage, shown.current, on, mode, fault)
 
-    def _astray(self, shown: Display, answer: Reply) -> str:
+    def _regulation_fault(self, shown: Display, answer: Reply) -> str:
         """A fault if the output has lost its regulation; else empty.
 
         This also detects a supply of another model, whose current has other steps, if it does not report its limits.
         """
-        levels = self._held.volts * STEP_V, self._held.amperes * self._step
+        levels = self._commanded.volts * STEP_V, self._commanded.amperes * self._step
         if not self._regulation.is_lost((shown.voltage, shown.current), levels, shown.limited, answer.seen):
             return ""
-        return f"out of regulation, {_display_text(shown)}; {self._spelt(self._held)} are set"
+        return f"out of regulation, {_display_text(shown)}; {self._levels_text(self._commanded)} are set"
 
-    def _on(self, shown: Display) -> bool:
+    def _is_on(self, shown: Display) -> bool:
         return shown.voltage > self._settings.off_voltage_V or shown.current > self._settings.off_current_A
 
-    def _spelt(self, held: LevelCounts) -> str:
-        return f"{held.volts * STEP_V:.1f} V and {held.amperes * self._step:.2f} A"
+    def _levels_text(self, levels: LevelCounts) -> str:
+        return f"{levels.volts * STEP_V:.1f} V and {levels.amperes * self._step:.2f} A"
 
 
 def _levels_with(volts: int) -> Callable[[bytes], LevelCounts]:

@@ -11,7 +11,7 @@ from leactl_plugins.bk1688b.dialogue import Bk1688bDialogue
 from leactl_plugins.bk1688b.probe import Bk1688bProbe
 from leactl_plugins.bk1688b.settings import LEAST_V, STEP_V, Bk1688bSettings
 
-FLOWS = 2.0  # times `off_current_A`, from which a current can be distinguished from none
+LEAST_OVER_OFF_CURRENT = 2.0  # least current limit over `off_current_A`: an output that is on must not seem off
 
 
 class Bk1688b(SupplyDriver):
@@ -54,5 +54,5 @@ class Bk1688b(SupplyDriver):
         """
         rating = self.settings.rating
         refuse_between_steps(self.name, (voltage, current), (STEP_V, rating.step_A))
-        least = max(FLOWS * self.settings.off_current_A, rating.step_A)
+        least = max(LEAST_OVER_OFF_CURRENT * self.settings.off_current_A, rating.step_A)
         self._line.supply(voltage, current, (LEAST_V, least))

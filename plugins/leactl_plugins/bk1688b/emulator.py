@@ -9,8 +9,8 @@ from leactl.driver.far_end import SupplyLoad
 from leactl.driver.supply_end import SupplyEnd
 from leactl_plugins.bk1688b.settings import LEAST_V, RATINGS, STEP_V
 
-MOST_INPUT = 64
-PRESETS = 3
+MOST_INPUT = 64  # bytes of an unfinished command
+PRESET_COUNT = 3
 
 
 class Bk1688bEmulator(SupplyEnd):
@@ -18,7 +18,7 @@ class Bk1688bEmulator(SupplyEnd):
 
     def __init__(self, model: str, load: SupplyLoad, answer_s: float = 0.005) -> None:
         self.rating = RATINGS[model]
-        self.presets = [(LEAST_V, 0.0)] * PRESETS
+        self.presets = [(LEAST_V, 0.0)] * PRESET_COUNT
         super().__init__(load, answer_s, LEAST_V)
 
     def receive(self, data: bytes, now: float) -> None:
@@ -34,7 +34,7 @@ class Bk1688bEmulator(SupplyEnd):
                 self._input = (self._input + bytes([byte]))[-MOST_INPUT:]
 
     def _obey(self, command: str) -> str | None:
-        """The answer to a command, with its line ends; None if there is none."""
+        """Carry out a command; returns its answer with its line ends, or None if it has none."""
         match = re.fullmatch(r"(VOLT|CURR|GETS|GETD|GMAX|GETM|PROM|RUNM|SOUT|SESS|ENDS)([0-9]*)", command, re.ASCII)
         if match is None:
             return None
@@ -54,8 +54,8 @@ class Bk1688bEmulator(SupplyEnd):
             self.set_volts = volts
         elif word == "CURR" and len(digits) == 3 and (amperes := self._amperes(digits)) <= self.rating.current:
             self.set_amperes = amperes
-        elif word == "PROM" and len(digits) == 6 * PRESETS:
-            presets_digits = [digits[6 * k : 6 * k + 6] for k in range(PRESETS)]
+        elif word == "PROM" and len(digits) == 6 * PRESET_COUNT:
+            presets_digits = [digits[6 * k : 6 * k + 6] for k in range(PRESET_COUNT)]
             self.presets = [
                 (int(preset_digits[:3]) * STEP_V, self._amperes(preset_digits[3:])) for preset_digits in presets_digits
             ]
@@ -68,17 +68,17 @@ class Bk1688bEmulator(SupplyEnd):
     def _amperes(self, digits: str) -> float:
         return int(digits) * self.rating.step_A
 
-    def _pair(self, volts: float, amperes: float) -> str:
+    def _level_digits(self, volts: float, amperes: float) -> str:
         return f"{round(volts / STEP_V):03d}{round(amperes / self.rating.step_A):03d}"
 
     def _settings(self) -> str:
-        return self._pair(self.set_volts, self.set_amperes)
+        return self._level_digits(self.set_volts, self.set_amperes)
 
     def _limits(self) -> str:
-        return self._pair(self.rating.voltage, self.rating.current)
+        return self._level_digits(self.rating.voltage, self.rating.current)
 
     def _memory(self) -> str:
-        return "\r".join(self._pair(*preset) for preset in self.presets)
+        return "\r".join(self._level_digits(*preset) for preset in self.presets)
 
     def _display(self) -> str:
         return f"{round(100 * self.volts):04d}{round(100 * self.amperes):04d}{self._limited:d}"

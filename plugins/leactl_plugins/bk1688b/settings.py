@@ -9,7 +9,7 @@ from leactl_plugins.bk1688b.replies import LevelCounts
 
 LEAST_V: Final = 1.0  # lowest voltage that can be set
 STEP_V: Final = 0.1
-RATED: Final = 0.15  # share of its rating by which a model's own limits may differ
+RATING_TOLERANCE: Final = 0.15  # share of its rating by which the limits that a supply reports may differ
 
 
 class SupplyRating(NamedTuple):
@@ -25,13 +25,16 @@ RATINGS: Final = {
     "1687B": SupplyRating(36.0, 10.0, 0.1),
     "1688B": SupplyRating(18.0, 20.0, 0.1),
 }
-HIGHEST: Final = max(rating.voltage for rating in RATINGS.values()), max(rating.current for rating in RATINGS.values())
+HIGHEST_RATING: Final = (
+    max(rating.voltage for rating in RATINGS.values()),
+    max(rating.current for rating in RATINGS.values()),
+)
 
 
 def is_near(most: LevelCounts, rating: SupplyRating) -> bool:
     """Whether a supply that reports these limits can be of the model with this rating."""
     volts, amperes = most.volts * STEP_V, most.amperes * rating.step_A
-    return abs(volts / rating.voltage - 1) < RATED and abs(amperes / rating.current - 1) < RATED
+    return abs(volts / rating.voltage - 1) < RATING_TOLERANCE and abs(amperes / rating.current - 1) < RATING_TOLERANCE
 
 
 Least = Annotated[float, Field(strict=True, gt=0, le=1, allow_inf_nan=False)]

@@ -17,22 +17,23 @@ from leactl_plugins.korad_ka.replies import KoradIdentity, SupplyStatus
 from leactl_plugins.korad_ka.settings import RATINGS, SOLD_AS, STEP_A, STEP_V, TOO_SLOW, KoradKaSettings, model_of
 
 ON, OFF = "OUT1", "OUT0"
-END_S = 0.03  # silence that ends an answer; an adapter on USB holds bytes back for up to 16 ms
+ANSWER_END_S = 0.03  # silence that ends an answer; an adapter on USB holds bytes back for up to 16 ms
 QUIET_S = 0.1  # silence after which no answer to an earlier query is expected any more
-LONGEST_CHATTER_S = 0.5  # of a line; a late answer has passed by then
-LEAST_MARK, MARKS = 100, 100  # settings from 1.00 V to 1.99 V
-TRIES, LOOKS = 3, 10  # to set levels; readings of the state until a switched output has risen or fallen
-SETTINGS_S = 1.0  # between two readings of the settings
+LONGEST_CHATTER_S = 0.5  # time until a line must be silent; a late answer has passed by then
+LEAST_MARK, MARK_COUNT = 100, 100  # voltage settings from 1.00 V to 1.99 V; each try to switch off sets another
+SET_TRIES = 3  # of setting the levels
+MOST_STATE_READINGS = 10  # until a switched output has risen or fallen
+SETTINGS_S = 1.0  # time between two readings of the settings
 # sigrok's wiki: OVP1 and OCP1 switch off above the set voltage or current; no command sets or reads a level
-UNPROTECTED = (
+UNPROTECTED_NOTICE = (
     "no protection with a level of its own (OVP, OCP): voltage_limit_V and current_limit_A bound nothing but what is"
     " commanded"
 )
-BEYOND = 1.2  # times its rating, above which no supply displays a value
+MOST_OVER_RATING = 1.2  # largest reading of a supply over its rating
 
 
-def _query(text: str, means: Callable[[bytes], Any]) -> Query:
-    return Query(text, means, silence_s=END_S)
+def _query(text: str, parse: Callable[[bytes], Any]) -> Query:
+    return Query(text, parse, silence_s=ANSWER_END_S)
 
 
 SET_VOLTS, SET_AMPERES = _query("VSET1?", replies.parse_hundredths), _query("ISET1?", replies.parse_set_thousandths)
@@ -77,7 +78,7 @@ class KoradDialogue:
         self._panel = ""  # fault text if the settings were changed at the panel
         self.reported_identity: KoradIdentity | None = None
 
-    def in_step(self) -> Script[None]:
+    def synchronise(self) -> Script[None]:
         """Wait until nothing has arrived for `QUIET_S`.
 
         Raises
@@ -98,14 +99,14 @@ class KoradDialogue:
         """
         while True:
             yield OFF
-            self._mark = (self._mark + 1) % MARKS
+            self._mark = (self._mark + 1) % MARK_COUNT
             mark = LEAST_MARK + self._mark
             yield f"VSET1:{mark * STEP_V:05.2f}"
             try:
                 read_back: int = yield from ask(SET_VOLTS)
                 if read_back != mark:
                     continue
-                output = yield from self._output()
+                output = yield from self._read_output()
             except Unreadable:
                 continue
             if not self._is_on(output):
@@ -121,7 +122,7 @@ class KoradDialogue:
             that cannot be switched off.
         """
         self.reported_identity = None
-        model, notices = self._settings.model, [UNPROTECTED]
+        model, notices = self._settings.model, [UNPROTECTED_NOTICE]
         yield from self.output_off(off_trouble)
         off_trouble.text = ""
         try:
@@ -161,15 +162,15 @@ class KoradDialogue:
     def _put(self, levels: Levels) -> Script[None]:
         self._commanded = levels
         self._regulation.begin_anew()
-        for _ in range(TRIES):
+        for _ in range(SET_TRIES):
             yield f"ISET1:{levels.amperes * STEP_A:.3f}"
             yield f"VSET1:{levels.volts * STEP_V:05.2f}"
-            read_back = yield from self._levels()
+            read_back = yield from self._read_levels()
             if read_back == levels:
                 return
         raise DeviceError(f"{read_back} are set after {levels} were commanded")
 
-    def switched(self, on: bool) -> Script[None]:
+    def switch(self, on: bool) -> Script[None]:
         """Switch the output and check its state; off is repeated, on is not, because a protection may have tripped.
 
         Raises
@@ -179,15 +180,15 @@ class KoradDialogue:
         self._regulation.begin_anew()
         if on:
             yield ON
-        for _ in range(LOOKS):
+        for _ in range(MOST_STATE_READINGS):
             if not on:
                 yield OFF
-            output = yield from self._output()
+            output = yield from self._read_output()
             if (output.status.on if on else self._is_on(output)) is on:
                 return
         raise DeviceFault(f"the output does not switch {'on' if on else 'off'}, {output}")
 
-    def measured(self) -> Script[SupplyReading]:
+    def measure(self) -> Script[SupplyReading]:
         """Measure voltage and current and read the state; every `SETTINGS_S`, also read the settings.
 
         A round begins after a silence, in which late answers arrive and the instrument obeys `off` at once.
@@ -196,22 +197,23 @@ class KoradDialogue:
         ------
         Unreadable : a value is far above the supply's rating.
         """
-        yield from self.in_step()
-        output = yield from self._output()
+        yield from self.synchronise()
+        output = yield from self._read_output()
         rating = self._settings.rating
-        if output.voltage > BEYOND * rating.voltage or output.current > BEYOND * rating.current:
+        if output.voltage > MOST_OVER_RATING * rating.voltage or output.current > MOST_OVER_RATING * rating.current:
             raise Unreadable(f"{output}, where no more than {rating.voltage:g} V and {rating.current:g} A can be")
         on = self._is_on(output)
         mode = ("constant current" if output.status.limited else "constant voltage") if on else ""
         if output.answer_time - self._settings_read_at >= SETTINGS_S:
             self._settings_read_at = output.answer_time
-            levels = yield from self._levels()
+            levels = yield from self._read_levels()
             differs = levels != self._commanded
             self._panel = f"set to {levels} by itself; {self._commanded} were commanded" if differs else ""
-        fault = self._panel or (self._astray(output) if on else "")
+        fault = self._panel or (self._regulation_fault(output) if on else "")
         return SupplyReading(output.time, output.voltage, output.current, on, mode, fault)
 
-    def _astray(self, output: OutputState) -> str:
+    def _regulation_fault(self, output: OutputState) -> str:
+        """Text if the output has lost its regulation; empty if it has not."""
         levels = self._commanded.volts * STEP_V, self._commanded.amperes * STEP_A
         measured = output.voltage, output.current
         if not self._regulation.is_lost(measured, levels, output.status.limited, output.answer_time):
@@ -222,12 +224,12 @@ class KoradDialogue:
         off_v, off_a = self._settings.off_voltage_V, self._settings.off_current_A
         return output.status.on or output.voltage > off_v or output.current > off_a
 
-    def _levels(self) -> Script[Levels]:
+    def _read_levels(self) -> Script[Levels]:
         volts: int = yield from ask(SET_VOLTS)
         amperes: int = yield from ask(SET_AMPERES)
         return Levels(volts, amperes)
 
-    def _output(self) -> Script[OutputState]:
+    def _read_output(self) -> Script[OutputState]:
         state: SupplyStatus = yield from ask(STATUS)
         volts = yield VOLTS
         amperes = yield AMPERES

@@ -12,8 +12,8 @@ from leactl_plugins.korad_ka.dialogue import KoradDialogue
 from leactl_plugins.korad_ka.probe import KoradProbe
 from leactl_plugins.korad_ka.settings import STEP_A, STEP_V, KoradKaSettings
 
-COMMANDS = 6  # of one try to switch off; the first may have to wait as well
-ANSWERED_S = 0.1  # time for the last answer of a try, with the silence that ends it
+COMMANDS_PER_TRY = 6  # of switching off; the first command may have to wait as well
+LAST_ANSWER_S = 0.1  # time for the last answer of a try, with the silence that ends it
 
 
 class KoradKa(SupplyDriver):
@@ -35,7 +35,7 @@ class KoradKa(SupplyDriver):
         self.name, self.role, self.settings = name, role, settings
         port.line_end, port.rest_s = b"", settings.pace_s
         self._dialogue = KoradDialogue(settings, port)
-        try_s = COMMANDS * settings.pace_s + ANSWERED_S
+        try_s = COMMANDS_PER_TRY * settings.pace_s + LAST_ANSWER_S
         self._line = SupplyLine(name, role, settings, port, self._dialogue, try_s)
 
     def identity(self) -> Identity:

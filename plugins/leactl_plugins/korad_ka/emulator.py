@@ -11,10 +11,10 @@ from leactl.driver.far_end import SupplyLoad
 from leactl.driver.supply_end import SupplyEnd
 from leactl_plugins.korad_ka.settings import RATINGS
 
-END_S = 0.005  # silence that ends a command; five characters at 9600 baud
+COMMAND_END_S = 0.005  # silence that ends a command; five characters at 9600 baud
 REST_S = 0.04  # after a setting or STATUS?, from the end of the command
-MOST_INPUT = 64
-OVER_RATING = 1.03  # what can still be set: libsigrok has 31 V and 5.1 A for 30 V and 5 A
+MOST_INPUT = 64  # bytes of an unfinished command
+LEVEL_OVER_RATING = 1.03  # of the highest level that can be set: libsigrok has 31 V and 5.1 A for 30 V and 5 A
 
 
 class KoradEmulator(SupplyEnd):
@@ -32,9 +32,9 @@ class KoradEmulator(SupplyEnd):
         """`identity`: answer to `*IDN?` in place of the usual one; `stray`: the sixth byte after `ISET1?`."""
         self.rating = RATINGS[model]
         self._identity, self._stray, self._rest_s = identity or f"KORAD{model}V2.0".encode("ascii"), stray, rest_s
-        self._ends = -math.inf  # when silence will have ended the command that is coming
-        self._rested = -math.inf  # when it takes a command again
-        self._lost = False  # the command that is coming
+        self._ends = -math.inf  # time at which silence ends the present command
+        self._rested = -math.inf  # time from which the next command is obeyed
+        self._lost = False  # whether the present command is lost
         self.protections = {"OVP": False, "OCP": False}
         super().__init__(load, answer_s)
 
@@ -48,7 +48,7 @@ class KoradEmulator(SupplyEnd):
         if now >= self._ends:
             self._finish(now)
             self._lost = now < self._rested
-        self._ends = now + END_S
+        self._ends = now + COMMAND_END_S
         if not self._lost:
             self._input = (self._input + data)[-MOST_INPUT:]
 
@@ -69,7 +69,7 @@ class KoradEmulator(SupplyEnd):
             self._rested = self._ends + self._rest_s if resting else self._busy
 
     def _obey(self, command: str) -> bytes | None:
-        """The answer to a command; None if there is none."""
+        """Carry out a command; returns its answer, or None if it has none."""
         queries = {
             "VSET1?": lambda: f"{self.set_volts:05.2f}".encode("ascii"),
             "ISET1?": lambda: f"{self.set_amperes:.3f}".encode("ascii") + self._stray,
@@ -90,15 +90,15 @@ class KoradEmulator(SupplyEnd):
         elif match := re.fullmatch(r"(OVP|OCP)([01])", command):
             self.protections[match[1]] = match[2] == "1"
         elif match := re.fullmatch(r"VSET1:([0-9]{1,2}(?:\.[0-9]{1,2})?)", command):
-            self.set_volts = self._within(match[1], self.rating.voltage, self.set_volts)
+            self.set_volts = self._programmed(match[1], self.rating.voltage, self.set_volts)
         elif match := re.fullmatch(r"ISET1:([0-9](?:\.[0-9]{1,3})?)", command):
-            self.set_amperes = self._within(match[1], self.rating.current, self.set_amperes)
+            self.set_amperes = self._programmed(match[1], self.rating.current, self.set_amperes)
 
     @staticmethod
-    def _within(text: str, rating: float, held: float) -> float:
-        return float(text) if float(text) <= OVER_RATING * rating else held
+    def _programmed(text: str, rating: float, before: float) -> float:
+        return float(text) if float(text) <= LEVEL_OVER_RATING * rating else before
 
     def _status(self) -> int:
-        told_on = self.on and (self._admits or not self._stuck)
+        reported_on = self.on and (self._admits or not self._stuck)
         armed = any(self.protections.values())
-        return 0x40 * told_on | 0x20 * armed | 0x10 | (not self._limited)
+        return 0x40 * reported_on | 0x20 * armed | 0x10 | (not self._limited)

@@ -15,13 +15,13 @@ from leactl.driver.conversation import Query
 from leactl_plugins.scpi_supply import replies
 from leactl_plugins.scpi_supply.models import TRACKING
 
-ROUNDED, ROUNDED_BESIDE = 0.005, 0.01  # share of a level, and V or A
+RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 0.005, 0.01  # share of a level that is read back, plus V or A
 # the data sheets of the E36xx have 0.5 % and 0.5 V for the over-voltage protection; so has Rigol for its supplies
-PROTECTION = TripAccuracy(0.005 + ROUNDED, 0.5 + ROUNDED_BESIDE)
-UNKNOWN = TripAccuracy(0.0, math.inf)  # no level is low enough to be counted on
-LEAST_E36300 = 0.002  # A; an E36312A answers this, or less, to CURR? MIN
+PROTECTION_ACCURACY = TripAccuracy(0.005 + RELATIVE_TOLERANCE, 0.5 + ABSOLUTE_TOLERANCE)
+UNKNOWN_ACCURACY = TripAccuracy(0.0, math.inf)  # so that no level counts as a protection
+LEAST_CURRENT_E36300 = 0.002  # A; an E36312A answers this or less to CURR? MIN
 OVER_VOLTAGE, OVER_CURRENT = "over-voltage protection", "over-current protection"
-EXPONENT = re.compile(r"[+-]\d\.\d{8}E[+-]\d\d", re.ASCII)  # Keysight's, always so long
+KEYSIGHT_NUMBER = re.compile(r"[+-]\d\.\d{8}E[+-]\d\d", re.ASCII)  # always of this length
 INDEPENDENT = "set them independent at the instrument"
 
 
@@ -63,16 +63,16 @@ class ScpiDialect(NamedTuple):
     error: Query
     over_voltage: Protection | None
     over_current: Protection | None
-    reading: re.Pattern[str]  # what is answered to a measurement, to the last digit
+    reading: re.Pattern[str]  # exact form of the answer to a measurement
     remote: str = "SYST:REM"  # empty: there is no such command
     local: str = "SYST:LOC"
-    demands: tuple[RequiredAnswer, ...] = ()
-    select: Level | None = None  # this output is the one that a command acts on whose end, and channel list, is lost
+    required_answers: tuple[RequiredAnswer, ...] = ()
+    select: Level | None = None  # selects this output, on which a command acts if its end with the channel list is lost
     set_range: str = ""  # empty: the family has no ranges that can be set
     decimals: int = 4  # of a level
-    least_current: float = 0.0  # A, that it can be set to
+    least_current: float = 0.0  # A, lowest level that can be set
     clear: bytes = b""  # makes the instrument abandon its present command, if it has such a byte
-    trip_accuracy: TripAccuracy = PROTECTION
+    trip_accuracy: TripAccuracy = PROTECTION_ACCURACY
 
     @property
     def off(self) -> bytes:
@@ -99,7 +99,7 @@ def _e36xx(_model: str, _output: int) -> ScpiDialect:
         Query("SYST:ERR?", replies.parse_error_entry),
         volts,
         amperes,
-        EXPONENT,
+        KEYSIGHT_NUMBER,
         set_range="VOLT:RANG {}",
         clear=b"\x03",  # device clear on RS-232 (E3632A User's Guide, page 61)
     )
@@ -109,11 +109,11 @@ def _e36300(model: str, output: int) -> ScpiDialect:
     """Three outputs; a channel list ends each command and query.
 
     The over-voltage protection has no switch. The over-current protection has no level: it trips as soon as the output
-    regulates its current, which is what it is used for here.
+    regulates its current, and the driver lets an output regulate its current.
     """
     at = f"(@{output})"
     together = "its outputs are switched or set together: " + INDEPENDENT
-    demands = [
+    required_answers = [
         RequiredAnswer(
             Query(f"CURR:PROT:STAT? {at}", replies.parse_word),
             ("0",),
@@ -124,7 +124,7 @@ def _e36300(model: str, output: int) -> ScpiDialect:
         RequiredAnswer(Query("OUTP:TRAC?", replies.parse_word), ("0",), together),
     ]
     if model != "E36311A":  # whose outputs cannot be paired
-        demands.append(RequiredAnswer(Query("OUTP:PAIR?", replies.parse_word), ("OFF",), together))
+        required_answers.append(RequiredAnswer(Query("OUTP:PAIR?", replies.parse_word), ("OFF",), together))
     return ScpiDialect(
         Level(f"VOLT {{}},{at}", f"VOLT? {at}"),
         Level(f"CURR {{}},{at}", f"CURR? {at}"),
@@ -136,11 +136,11 @@ def _e36300(model: str, output: int) -> ScpiDialect:
         Query("SYST:ERR?", replies.parse_error_entry),
         Protection(OVER_VOLTAGE, Level(f"VOLT:PROT {{}},{at}", f"VOLT:PROT? {at}"), "", "", f"VOLT:PROT:TRIP? {at}"),
         None,
-        EXPONENT,
-        demands=tuple(demands),
-        least_current=LEAST_E36300,
+        KEYSIGHT_NUMBER,
+        required_answers=tuple(required_answers),
+        least_current=LEAST_CURRENT_E36300,
         select=Level(f"INST:NSEL {output}", "INST:NSEL?"),
-        trip_accuracy=UNKNOWN,
+        trip_accuracy=UNKNOWN_ACCURACY,
     )
 
 
@@ -157,10 +157,10 @@ def _dp800(model: str, output: int) -> ScpiDialect:
         )
         for name, head in ((OVER_VOLTAGE, "OUTP:OVP"), (OVER_CURRENT, "OUTP:OCP"))
     )
-    demands: tuple[RequiredAnswer, ...] = ()
+    required_answers: tuple[RequiredAnswer, ...] = ()
     if output:
         pair = TRACKING.get(model, ())
-        demands = (
+        required_answers = (
             *(
                 RequiredAnswer(
                     Query(f"OUTP:TRAC? CH{number}", replies.parse_word),
@@ -189,7 +189,7 @@ def _dp800(model: str, output: int) -> ScpiDialect:
         volts,
         amperes,
         re.compile(r"-?\d{1,2}\.\d{3,4}", re.ASCII),  # 12.0035; three decimals stand in the guide as well
-        demands=demands,
+        required_answers=required_answers,
     )
 
 
@@ -213,7 +213,7 @@ def _spd3303(_model: str, output: int) -> ScpiDialect:
         re.compile(r"\d{1,2}\.\d{2,3}", re.ASCII),  # two decimals of an SPD3303X-E
         remote="",
         local="",
-        demands=(
+        required_answers=(
             RequiredAnswer(
                 Query(status, replies.parse_status_outputs),
                 ("independent",),
@@ -221,7 +221,7 @@ def _spd3303(_model: str, output: int) -> ScpiDialect:
             ),
         ),
         decimals=3,
-        trip_accuracy=UNKNOWN,
+        trip_accuracy=UNKNOWN_ACCURACY,
     )
 
 

@@ -14,21 +14,21 @@ from leactl.driver.serial_supply import Regulation, SupplyReading, SwitchOffTrou
 from leactl.errors import DeviceError, DeviceFault
 from leactl_plugins.scpi_supply import models, replies
 from leactl_plugins.scpi_supply.dialects import (
+    ABSOLUTE_TOLERANCE,
     DIALECTS,
     OVER_CURRENT,
     OVER_VOLTAGE,
-    ROUNDED,
-    ROUNDED_BESIDE,
+    RELATIVE_TOLERANCE,
     Level,
     Protection,
 )
 from leactl_plugins.scpi_supply.replies import ErrorEntry, InstrumentIdentity
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 
-MOST_ERRORS = 32  # the queue of an E36xx holds 20
-REGULATED = {1: "constant current", 2: "constant voltage"}  # the condition register, the same in all families
-SETTINGS_S = 1.0  # between two readings of the settings, which a person may change at the panel
-PAUSES = 5  # some 10 ms each, in which the last command is sent: a closed line drops unsent bytes
+MOST_ERRORS = 32  # entries read from the error queue; the queue of an E36xx holds 20
+MODES = {1: "constant current", 2: "constant voltage"}  # the condition register, the same in all families
+SETTINGS_S = 1.0  # time between two readings of the settings, which a person may change at the panel
+DRAIN_PAUSES = 5  # about 10 ms each, until the last command is sent: closing the line drops unsent bytes
 IDENTIFY = Query("*IDN?", replies.parse_identity, patient=True)
 
 
@@ -77,7 +77,7 @@ class ScpiDialogue:
         """Bytes that switch the output off from any state."""
         return self._dialect.off
 
-    def in_step(self) -> Script[InstrumentIdentity]:
+    def synchronise(self) -> Script[InstrumentIdentity]:
         """Query the identity and drop all replies before it, which belong to earlier queries."""
         identity: InstrumentIdentity = yield from ask(IDENTIFY)
         return identity
@@ -89,7 +89,7 @@ class ScpiDialogue:
         """
         while True:
             yield self._dialect.off
-            self._check((yield from self.in_step()))
+            self._check((yield from self.synchronise()))
             # patient, as a late answer to an earlier host may be taken for the identity
             on = yield from ask(self._dialect.on._replace(patient=True))
             if on:
@@ -119,23 +119,23 @@ class ScpiDialogue:
         settings, dialect = self._settings, self._dialect
         self._earlier_protections, self._panel = [], ""
         yield from self.output_off(off_trouble)
-        before = yield from self._errors()
-        yield from self._demand()
+        before = yield from self._read_errors()
+        yield from self._check_required_answers()
         if settings.output_range:
             yield dialect.set_range.format(settings.output_range.upper())
         self._commanded = CommandedLevels(0.0, dialect.least_current)
-        yield from self._written(dialect.voltage, 0.0)
-        self._settings_read_at = yield from self._written(dialect.current, dialect.least_current)
+        yield from self._write_level(dialect.voltage, 0.0)
+        self._settings_read_at = yield from self._write_level(dialect.current, dialect.least_current)
         protections = [
             (dialect.over_voltage, "voltage_limit_V", settings.voltage_limit_V),
             (dialect.over_current, "current_limit_A", settings.current_limit_A),
         ]
         limits = [(protection, key, limit) for protection, key, limit in protections if protection is not None]
-        self._earlier_protections = yield from self._earlier_protections_of(limits)
+        self._earlier_protections = yield from self._read_protections(limits)
         for protection, _key, limit in limits:
-            yield from self._protect(protection, limit)
+            yield from self._arm(protection, limit)
         self.trips_at = self._armed_at = settings.voltage_limit_V
-        refused = yield from self._errors()
+        refused = yield from self._read_errors()
         if refused:
             raise DeviceError("; ".join(f"error {number}, {text}" for number, text in refused))
         return [
@@ -147,11 +147,11 @@ class ScpiDialogue:
             ),
         ]
 
-    def _demand(self) -> Script[None]:
+    def _check_required_answers(self) -> Script[None]:
         """Check that the output can be used without acting on other outputs; raise DeviceError if it cannot."""
-        for demand in self._dialect.demands:
-            if (yield from ask(demand.question)) not in demand.accepted:
-                raise DeviceError(demand.otherwise)
+        for required in self._dialect.required_answers:
+            if (yield from ask(required.question)) not in required.accepted:
+                raise DeviceError(required.otherwise)
         select = self._dialect.select
         if (
             select is not None
@@ -159,15 +159,18 @@ class ScpiDialogue:
         ):
             raise DeviceError(f"output {selected:g} is selected after {select.command}")
 
-    def _earlier_protections_of(
-        self, limits: Sequence[tuple[Protection, str, float]]
-    ) -> Script[list[ProtectionBefore]]:
-        """Read the protections; raise if one is armed at a lower level than its limit, which is never raised."""
+    def _read_protections(self, limits: Sequence[tuple[Protection, str, float]]) -> Script[list[ProtectionBefore]]:
+        """Read the protections of these limits: protection, settings key of its limit, limit.
+
+        Raises
+        ------
+        DeviceError : a protection is armed at a lower level than its limit. The driver never raises such a level.
+        """
         protections = []
         for protection, key, limit in limits:
             level = yield from ask(Query(protection.level.query, replies.parse_level))
-            armed = yield from _armed(protection)
-            if armed and level < limit - _off_by(limit):
+            armed = yield from _is_armed(protection)
+            if armed and level < limit - _read_back_tolerance(limit):
                 raise DeviceError(
                     f"{protection.name} is armed at {level:g}, below {key} of {limit:g}, and is not loosened: raise it"
                     " at the instrument, or lower the limit in the bench file"
@@ -197,39 +200,40 @@ class ScpiDialogue:
         )
         for level, value, earlier_value in levels:
             if value <= earlier_value:
-                read_at = yield from self._written(level, value)
-        yield from self._protected()
+                read_at = yield from self._write_level(level, value)
+        yield from self._move_over_voltage_level()
         for level, value, earlier_value in levels:
             if value > earlier_value:
-                read_at = yield from self._written(level, value)
+                read_at = yield from self._write_level(level, value)
         self._commanded, self._settings_read_at, self._panel = target, read_at, ""
 
-    def _protected(self) -> Script[None]:
+    def _move_over_voltage_level(self) -> Script[None]:
+        """Arm the over-voltage protection at `trips_at` if it is armed at another level."""
         level, protection = self.trips_at, self._dialect.over_voltage
         if protection is not None and level != self._armed_at:
-            yield from self._protect(protection, level)
+            yield from self._arm(protection, level)
             self._armed_at = level
 
     def leave(self) -> Script[Sequence[str]]:
         """Restore all protections and release the front panel; returns the names of the protections."""
         names = [before.protection.name for before in self._earlier_protections]
         if self._earlier_protections:
-            self._check((yield from self.in_step()))
+            self._check((yield from self.synchronise()))
         while self._earlier_protections:
             protection, level, armed = self._earlier_protections[0]
-            yield from self._written(protection.level, level)
+            yield from self._write_level(protection.level, level)
             if protection.switch:
                 yield protection.switch.format("ON" if armed else "OFF")
-            if (yield from _armed(protection)) is not armed:
+            if (yield from _is_armed(protection)) is not armed:
                 raise DeviceError(f"{protection.name} is not switched {'on' if armed else 'off'} as it was found")
             del self._earlier_protections[0]
         if self._dialect.local:
             yield self._dialect.local
-            for _ in range(PAUSES):
+            for _ in range(DRAIN_PAUSES):
                 yield Pause()
         return names
 
-    def switched(self, on: bool) -> Script[None]:
+    def switch(self, on: bool) -> Script[None]:
         """Switch the output and check its state.
 
         Raises
@@ -241,68 +245,71 @@ class ScpiDialogue:
         if (yield from ask(self._dialect.on)) is not on:
             raise DeviceFault(f"the output does not switch {'on' if on else 'off'}")
 
-    def measured(self) -> Script[SupplyReading]:
+    def measure(self) -> Script[SupplyReading]:
         """Measure voltage and current; read output, condition, errors, protections; every `SETTINGS_S`, the levels."""
         voltage = yield self._voltage
         current = yield self._current
         assert voltage is not None and current is not None
         on = yield from ask(self._dialect.on)
         condition = yield from ask(self._dialect.condition)
-        errors = yield from self._errors()
-        fault = yield from self._tripped()
-        mode = REGULATED.get(condition, "") if on else ""
+        errors = yield from self._read_errors()
+        fault = yield from self._trip_fault()
+        mode = MODES.get(condition, "") if on else ""
         if on and not mode and not fault:
             fault = f"out of regulation, condition {condition}"
         if current.seen - self._settings_read_at >= SETTINGS_S:
             self._settings_read_at = current.seen
-            self._panel = yield from self._changed()
-        fault = fault or self._panel or (self._astray((voltage.value, current.value), mode, current.seen) if on else "")
+            self._panel = yield from self._panel_fault()
+        fault = fault or self._panel
+        if on and not fault:
+            fault = self._regulation_fault((voltage.value, current.value), mode, current.seen)
         notices = tuple(f"error {number}, {text}" for number, text in errors)
         return SupplyReading((voltage.asked + current.seen) / 2, voltage.value, current.value, on, mode, fault, notices)
 
-    def _changed(self) -> Script[str]:
+    def _panel_fault(self) -> Script[str]:
         """Text that names levels other than the commanded ones; empty if both are as commanded."""
         volts: float = yield from ask(Query(self._dialect.voltage.query, replies.parse_level))
         amperes: float = yield from ask(Query(self._dialect.current.query, replies.parse_level))
         commanded = self._commanded
-        if abs(volts - commanded.voltage) <= _off_by(commanded.voltage) and (
-            abs(amperes - commanded.current) <= _off_by(commanded.current)
+        if abs(volts - commanded.voltage) <= _read_back_tolerance(commanded.voltage) and (
+            abs(amperes - commanded.current) <= _read_back_tolerance(commanded.current)
         ):
             return ""
         return f"set to {_levels_text(volts, amperes)} by itself; {_levels_text(*commanded)} were commanded"
 
-    def _astray(self, measured: tuple[float, float], mode: str, moment: float) -> str:
+    def _regulation_fault(self, measured: tuple[float, float], mode: str, moment: float) -> str:
         """Text if the output does not have the level that it reports to regulate; empty if it has."""
-        if not self._regulation.is_lost(measured, self._commanded, mode == REGULATED[1], moment):
+        if not self._regulation.is_lost(measured, self._commanded, mode == MODES[1], moment):
             return ""
         return f"out of regulation, {_levels_text(*measured)} at {mode}; {_levels_text(*self._commanded)} are set"
 
-    def _tripped(self) -> Script[str]:
+    def _trip_fault(self) -> Script[str]:
         """Text that names a tripped protection; empty if none has tripped."""
         for protection in (self._dialect.over_voltage, self._dialect.over_current):
             if protection is not None and (yield from ask(Query(protection.tripped, replies.parse_boolean))):
                 return f"{protection.name} has tripped"
         return ""
 
-    def _protect(self, protection: Protection, level: float) -> Script[None]:
-        yield from self._written(protection.level, level)
+    def _arm(self, protection: Protection, level: float) -> Script[None]:
+        """Set the level of a protection, arm it, and check that it is armed and has not tripped."""
+        yield from self._write_level(protection.level, level)
         if protection.switch:
             yield protection.switch.format("ON")
-        if not (yield from _armed(protection)):
+        if not (yield from _is_armed(protection)):
             raise DeviceError(f"{protection.name} does not stay on")
         if (yield from ask(Query(protection.tripped, replies.parse_boolean))):
             raise DeviceFault(f"{protection.name} has tripped; find out why, then clear it at the instrument")
 
-    def _written(self, level: Level, value: float) -> Script[float]:
+    def _write_level(self, level: Level, value: float) -> Script[float]:
         """Write a level and read it back; raise if it differs by more than rounding; returns when it was read [s]."""
         yield level.command.format(f"{value:.{self._dialect.decimals}f}")
         reply = yield Query(level.query, replies.parse_level)
         assert reply is not None
-        if not abs(reply.value - value) <= _off_by(value):
+        if not abs(reply.value - value) <= _read_back_tolerance(value):
             raise DeviceError(f"{level.command.split()[0]} holds {reply.value:g} after {value:g} was written")
         return reply.seen
 
-    def _errors(self) -> Script[tuple[ErrorEntry, ...]]:
+    def _read_errors(self) -> Script[tuple[ErrorEntry, ...]]:
         """Read the error queue until it is empty."""
         errors: list[ErrorEntry] = []
         while (entry := (yield from ask(self._dialect.error))).number:
@@ -312,7 +319,7 @@ class ScpiDialogue:
         return tuple(errors)
 
 
-def _armed(protection: Protection) -> Script[bool]:
+def _is_armed(protection: Protection) -> Script[bool]:
     """Whether a protection is armed; one without a switch always is."""
     return bool((yield from ask(Query(protection.armed, replies.parse_boolean)))) if protection.switch else True
 
@@ -321,6 +328,6 @@ def _levels_text(volts: float, amperes: float) -> str:
     return f"{volts:.3f} V and {amperes:.3f} A"
 
 
-def _off_by(value: float) -> float:
-    """Tolerance of a level that is read back."""
-    return ROUNDED * value + ROUNDED_BESIDE
+def _read_back_tolerance(value: float) -> float:
+    """Largest difference [V or A] allowed between a written level and the level that is read back."""
+    return RELATIVE_TOLERANCE * value + ABSOLUTE_TOLERANCE

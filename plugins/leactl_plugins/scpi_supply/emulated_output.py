@@ -2,7 +2,7 @@
 
 from leactl.driver.far_end import SupplyLoad
 
-OVER_PROTECTION = 1.1
+PROTECTION_OVER_RATING = 1.1  # level of a protection at first, over the rating
 
 
 class NothingConnected:
@@ -30,8 +30,8 @@ class EmulatedOutput:
         self.set_volts, self.set_amperes = 0.0, self.rating[1]
         self.on = False
         self.volts = self.amperes = 0.0  # at the terminals
-        self.over_voltage = ProtectionState(OVER_PROTECTION * volts)
-        self.over_current = ProtectionState(OVER_PROTECTION * amperes)
+        self.over_voltage = ProtectionState(PROTECTION_OVER_RATING * volts)
+        self.over_current = ProtectionState(PROTECTION_OVER_RATING * amperes)
         self.trips_in_regulation = False  # the over-current protection has no level of its own
         self.stuck = False
         self.share = 1.0

@@ -16,17 +16,17 @@ from leactl_plugins.scpi_supply.emulated_output import EmulatedOutput, NothingCo
 from leactl_plugins.scpi_supply.models import OUTPUTS, RANGES, TRACKING
 
 REGULATE_S = 0.05  # the load's resistance changes within seconds
-MOST_INPUT = 512
-QUEUE = 20
-OTHER_RATING = ((60.0, 60.0),)  # a DP800 as well, whose range is set at the instrument
-UNSERVED = (25.0, 1.0)  # an output that the driver does not serve
-OVER_RATING = 1.03  # times the rating, the highest level that can be set
+MOST_INPUT = 512  # bytes of an unfinished message
+MOST_QUEUED = 20  # entries of the error queue
+UNLISTED_RATING = ((60.0, 60.0),)  # also of a DP800 with one output, whose range is set at the instrument
+UNSERVED_RATING = (25.0, 1.0)  # of an output that the driver does not serve
+LEVEL_OVER_RATING = 1.03  # highest level that can be set, over the rating
 LEAST_A = {"e36300": 0.001}
 ON = ("1", "ON")
 BOOLEANS = (*ON, "0", "OFF")
 NO_ERROR = (0, "No error")
-UNDEFINED, MISSING = (-113, "Undefined header"), (-109, "Missing parameter")
-OUT_OF_RANGE, OVERFLOW = (-222, "Data out of range"), (-350, "Queue overflow")
+UNDEFINED_HEADER, MISSING_PARAMETER = (-113, "Undefined header"), (-109, "Missing parameter")
+OUT_OF_RANGE, QUEUE_OVERFLOW = (-222, "Data out of range"), (-350, "Queue overflow")
 IDENTITIES = {  # maker, and what follows the serial number
     "e36xx": ("HEWLETT-PACKARD", "1.7-5.0-1.0"),
     "e36300": ("Keysight Technologies", "2.1.0-1.0.4-1.12"),
@@ -81,10 +81,10 @@ class ScpiSupplyEmulator:
         if self.model in OUTPUTS:
             ratings_by_output = OUTPUTS[self.model]
             count = 2 if self.model.startswith("DP82") else 3
-            return [(ratings_by_output.get(number, UNSERVED),) for number in range(1, count + 1)]
-        return [RANGES.get(self.model, OTHER_RATING) if self.dialect == "e36xx" else OTHER_RATING]
+            return [(ratings_by_output.get(number, UNSERVED_RATING),) for number in range(1, count + 1)]
+        return [RANGES.get(self.model, UNLISTED_RATING) if self.dialect == "e36xx" else UNLISTED_RATING]
 
-    # -- what a bench may have go wrong ------------------------------------------------------------------------------
+    # -- faults that a bench may inject ------------------------------------------------------------------------------
 
     def stuck_on(self, admits: bool = True) -> None:
         """Make the fed output stay on, as with a welded relay; `admits` says whether it still says that it is on."""
@@ -135,10 +135,10 @@ class ScpiSupplyEmulator:
         for pattern, act in self._commands:
             if match := pattern.fullmatch(header):
                 numbered = match[1] if pattern.groups else None
-                answers = self._acted(act, numbered, argument.strip())
+                answers = self._act(act, numbered, argument.strip())
                 break
         else:
-            self._fail(UNDEFINED)
+            self._fail(UNDEFINED_HEADER)
             return
         self._regulate()
         if answers:
@@ -146,7 +146,7 @@ class ScpiSupplyEmulator:
             text = ",".join(answers) + ("\r\n" if self.dialect == "e36xx" else "\n")
             self._output.append((self._busy, text.encode("ascii")))
 
-    def _acted(self, act: Act, numbered: str | None, argument: str) -> list[str]:
+    def _act(self, act: Act, numbered: str | None, argument: str) -> list[str]:
         """Act on the outputs named in the header or argument, or on the selected one; returns their answers."""
         numbers, value = ([int(numbered)] if numbered else []), argument
         if self.dialect == "e36300" and (match := CHANNEL_LIST.fullmatch(argument)):
@@ -160,8 +160,8 @@ class ScpiSupplyEmulator:
         return [answer for output in named if (answer := act(output, value.strip())) is not None]
 
     def _fail(self, error: tuple[int, str]) -> None:
-        if len(self._errors) == QUEUE:
-            self._errors[-1] = OVERFLOW
+        if len(self._errors) == MOST_QUEUED:
+            self._errors[-1] = QUEUE_OVERFLOW
         else:
             self._errors.append(error)
 
@@ -259,7 +259,7 @@ class ScpiSupplyEmulator:
         return regulated | (0x0C if self.coupled else 0x04) | on
 
     def _protection(self, head: str, level: str, tripped: str, which: str) -> dict[str, Act]:
-        def held(output: EmulatedOutput) -> ProtectionState:
+        def protection_of(output: EmulatedOutput) -> ProtectionState:
             state: ProtectionState = getattr(output, which)
             return state
 
@@ -267,22 +267,22 @@ class ScpiSupplyEmulator:
             value = _amount(text)
             if value is None or value < 0.0:
                 return self._fail(OUT_OF_RANGE)
-            held(output).level = value
+            protection_of(output).level = value
             return None
 
         state = "[:STATe]" if self.dialect == "dp800" else ":STATe"
         return {
             head + level: set_level,
-            f"{head}{level}?": lambda output, _: self._number(held(output).level),
+            f"{head}{level}?": lambda output, _: self._number(protection_of(output).level),
             head + state: self._arm(which),
-            f"{head}{state}?": lambda output, _: self._truth(held(output).armed),
-            head + tripped: lambda output, _: self._truth(held(output).tripped, "YES", "NO"),
+            f"{head}{state}?": lambda output, _: self._truth(protection_of(output).armed),
+            head + tripped: lambda output, _: self._truth(protection_of(output).tripped, "YES", "NO"),
         }
 
     def _arm(self, which: str) -> Act:
         def arm(output: EmulatedOutput, text: str) -> None:
             if text.upper() not in BOOLEANS:
-                return self._fail(MISSING if not text else OUT_OF_RANGE)
+                return self._fail(MISSING_PARAMETER if not text else OUT_OF_RANGE)
             getattr(output, which).armed = text.upper() in ON
             return None
 
@@ -296,7 +296,7 @@ class ScpiSupplyEmulator:
 
     def _switch(self, output: EmulatedOutput, text: str) -> None:
         if text.upper() not in BOOLEANS:
-            return self._fail(MISSING if not text else OUT_OF_RANGE)
+            return self._fail(MISSING_PARAMETER if not text else OUT_OF_RANGE)
         on = text.upper() in ON
         for each in self.outputs if self.coupled else (output,):
             each.on = on or (each.stuck and self._admits and each.on)
@@ -311,7 +311,7 @@ class ScpiSupplyEmulator:
 
     def _programmed(self, text: str, least: float, rating: float, before: float) -> float:
         value = _amount(text)
-        if value is None or not least <= value <= OVER_RATING * rating:
+        if value is None or not least <= value <= LEVEL_OVER_RATING * rating:
             self._fail(OUT_OF_RANGE)
             return before
         return value

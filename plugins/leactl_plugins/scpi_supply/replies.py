@@ -9,9 +9,9 @@ NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?")
 ERROR = re.compile(r'([+-]?\d{1,5}),\s*"(.*)"')
 LOOSE_ERROR = re.compile(r"([+-]?\d{1,5})\s*[, ]\s*(.*)")
 STATUS = re.compile(r"0[xX]([0-9a-fA-F]{1,4})")
-OUTPUTS = {1: "independent", 2: "parallel", 3: "series"}  # bits 2 and 3 of an SPD3303X's status
-MOST = 1e4  # V or A; SCPI-1999 volume 1, 7.2.1.4 and 7.2.1.5: 9.9E37 stands for infinity, 9.91E37 for not a number
-BEYOND = 1.2  # times its rating: what a supply does not show even where its protections are at their highest
+CONNECTIONS = {1: "independent", 2: "parallel", 3: "series"}  # bits 2 and 3 of an SPD3303X's status
+LARGEST_VALUE = 1e4  # V or A; SCPI-1999 volume 1, 7.2.1.4 and 7.2.1.5: 9.9E37 is infinity, 9.91E37 not a number
+MOST_OVER_RATING = 1.2  # largest reading over the rating, even with the protections at their highest level
 TRUE, FALSE = ("1", "ON", "YES"), ("0", "OFF", "NO")
 
 
@@ -39,7 +39,7 @@ def parse_level(line: bytes) -> float:
     Unreadable : not a number, or one that no supply puts out.
     """
     text = _text(line)
-    if not NUMBER.fullmatch(text) or not abs(float(text)) <= MOST:
+    if not NUMBER.fullmatch(text) or not abs(float(text)) <= LARGEST_VALUE:
         raise Unreadable(f"{text!r} where a number was expected")
     return float(text)
 
@@ -55,7 +55,7 @@ def parse_reading(line: bytes, form: re.Pattern[str], rating: float) -> float:
     if not form.fullmatch(text):
         raise Unreadable(f"{text!r} where a reading was expected")
     value = float(text)
-    if not abs(value) <= min(BEYOND * rating, MOST):
+    if not abs(value) <= min(MOST_OVER_RATING * rating, LARGEST_VALUE):
         raise Unreadable(f"{value:g} where no more than {rating:g} can be")
     return value
 
@@ -89,7 +89,7 @@ def parse_register(line: bytes) -> int:
 def parse_regulation(line: bytes) -> int:
     """Parse how an output of several regulates: the two lowest bits of its condition register, 1 current, 2 voltage.
 
-    Higher bits tell of protections, which are asked for by name.
+    Higher bits report the protections, which the driver queries by name.
 
     Raises
     ------
@@ -138,13 +138,13 @@ def parse_status_outputs(line: bytes) -> str:
     ------
     Unreadable : not a hexadecimal number, or one without a valid connection of the outputs.
     """
-    return OUTPUTS[_status(line) >> 2 & 0b11]
+    return CONNECTIONS[_status(line) >> 2 & 0b11]
 
 
 def _status(line: bytes) -> int:
     text = _text(line)
     match = STATUS.fullmatch(text)
-    if match is None or int(match[1], 16) >> 2 & 0b11 not in OUTPUTS:  # neither connection: a digit is lost
+    if match is None or int(match[1], 16) >> 2 & 0b11 not in CONNECTIONS:  # 0 is no connection: a digit is lost
         raise Unreadable(f"{text!r} where a hexadecimal status was expected")
     return int(match[1], 16)
 
