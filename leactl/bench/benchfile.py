@@ -148,7 +148,7 @@ class Emulated(Block):
     test: dict[str, Any] = {}  # parameters that replace those of the motor
     load: dict[str, Any] = {}
     bench: dict[str, Any] = {}
-    conditions: dict[str, dict[str, Any]] = {}  # label: parameters of both actuators under this condition
+    conditions: dict[str, dict[str, Any]] = {}  # label: parameters of both actuators, which override `test` and `load`
     effects: list[dict[str, Any]] = []
     faults: list[dict[str, Any]] = []  # what goes wrong and when (leactl.emulation.faults)
     current_noise_A: Fraction = 0.015  # noqa: N815 (a unit keeps its letter)

@@ -13,7 +13,7 @@ from leactl.driver import registry
 from leactl.driver.far_end import BuslessEmulator, Numbered, Physics, SupplyLoad
 from leactl.driver.i2c_port import SmBus
 from leactl.driver.serial_port import SerialLine
-from leactl.emulation.bench.emulated_block import actuator_of, effect_of
+from leactl.emulation.bench.emulated_block import actuator_of, effect_of, merge_parameters
 from leactl.emulation.clock import EmulatedClock, HostClock
 from leactl.emulation.faults import make_fault
 from leactl.emulation.faults.device_readings import DeviceSignals
@@ -107,8 +107,8 @@ class EmulatedBench:
         self.not_served = [f"fault {f.fault}: nothing happens, {f.where_served}" for f in faults if f.where_served]
         condition_changes = emulated.conditions.get(condition, {})
         seed_number = emulated.seed if seed is None else seed
-        test = actuator_of(file, "test", condition_changes | emulated.test)
-        load = actuator_of(file, "load", condition_changes | emulated.load)
+        test = actuator_of(file, "test", merge_parameters(emulated.test, condition_changes))
+        load = actuator_of(file, "load", merge_parameters(emulated.load, condition_changes))
         effects = [effect_of(entry) for entry in emulated.effects]
         bench = BenchParameters.from_mapping(emulated.bench)
         expressible = all(set(own_hooks(effect)) <= set(RIG_HOOKS) for effect in effects)

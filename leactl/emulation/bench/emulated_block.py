@@ -28,12 +28,17 @@ def actuator_of(file: BenchFile, role: str, changes: Mapping[str, Any]) -> Actua
     name = file.motors.get("test" if role == "test" else "load", file.motors["test"])
     motor, _document = load_motor(name)
     motor_parameters = motor.model_dump(include={parameter.name for parameter in fields(ActuatorParameters)})
-    thermal = changes.get("thermal", {})
-    if not isinstance(thermal, Mapping):
-        raise InputError(f"thermal: found {thermal!r}, expected parameters by name")
-    return ActuatorParameters.from_mapping(
-        motor_parameters | dict(changes) | {"thermal": motor_parameters["thermal"] | dict(thermal)}
-    )
+    return ActuatorParameters.from_mapping(merge_parameters(motor_parameters, changes))
+
+
+def merge_parameters(parameters: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters overridden by `changes`; of nested ones such as `thermal`, those that `changes` does not name stay."""
+    nested = {
+        name: {**parameters[name], **value}
+        for name, value in changes.items()
+        if isinstance(value, Mapping) and isinstance(parameters.get(name), Mapping)
+    }
+    return {**parameters, **changes, **nested}
 
 
 def effect_of(entry: Mapping[str, Any]) -> PlantEffect:
