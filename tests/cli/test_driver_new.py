@@ -180,7 +180,7 @@ def test_the_check_finds_a_flag_that_is_wrong(tmp_path, wrong):
     )
     done = said(folder, tmp_path, "leactl", "driver", "check", "room_meter")
     assert done.returncode == 2
-    assert "measures what is there: drive_enabled reads" in done.stderr
+    assert "measures true values: drive_enabled reads" in done.stderr
 
 
 @pytest.mark.parametrize("bus", scaffold.BUSES)
@@ -207,7 +207,7 @@ def test_the_check_finds_a_unit_that_is_off_and_a_line_that_is_guessed(package, 
     )
     done = said(folder, tmp_path, "leactl", "driver", "check", "room_meter")
     assert done.returncode == 2
-    assert "measures what is there: ambient_temperature reads" in done.stderr
+    assert "measures true values: ambient_temperature reads" in done.stderr
 
 
 def test_the_channel_stands_on_an_emulated_bench_by_the_lines_of_the_guide(tmp_path):

@@ -15,7 +15,7 @@ from leactl.driver import registry
 from leactl.driver.contract import SAFE_STATE_S, Confirmation, MotionDevice, PowerSupply, Row
 from leactl.emulation.trial import drives, supplies
 from leactl.emulation.trial.known_bench import LOAD_OHM
-from leactl.emulation.trial.measuring import OF_MACHINE, RECORDED_S
+from leactl.emulation.trial.measuring import MACHINE_QUANTITIES, RECORDED_S
 from leactl.emulation.trial.stand import ANSWER_S, PERIOD_S, Stand
 from leactl.errors import DeviceError, InputError
 
@@ -72,9 +72,9 @@ class Session:
     def _begin(self):
         driver = self.stand.driver
         if isinstance(driver, MotionDevice):
-            drives.in_operation(self.stand)
+            drives.enter_operation(self.stand)
         elif isinstance(driver, PowerSupply):
-            supplies.switched_on(self.stand)
+            supplies.open_and_switch_on(self.stand)
         else:
             driver.open()
             self.stand.bench.rise(SESSION_S)
@@ -276,7 +276,7 @@ def files_of(driver, folder):
     while (now := stand.clock.now()) < RECORDED_S:
         machine = stand.machine
         machine.current, machine.velocity, machine.angle = (
-            float(stand.bench.true_value(quantity, now)) for quantity in OF_MACHINE[:3]
+            float(stand.bench.true_value(quantity, now)) for quantity in MACHINE_QUANTITIES[:3]
         )
         stand.wait(0.05)
     return stand.driver, stand.driver.exports.fresh()

@@ -22,7 +22,7 @@ from leactl.driver.contract import Confirmation, Driver, DriverSettings, Identit
 from leactl.driver.probe import Sighting
 from leactl.emulation.trial import measuring, probing, running
 from leactl.emulation.trial.known_bench import BASES, RISE
-from leactl.emulation.trial.running import outcome, plain, try_driver
+from leactl.emulation.trial.running import run_in_this_process, trial_name, try_driver
 from leactl.emulation.trial.stand import Broken
 from leactl.errors import DeviceError, InputError
 
@@ -424,56 +424,56 @@ class TakesItsTime(Ads1115):
 
 
 PLANTED = [
-    (SafeInWords, "is off when it says so", "confirmed while the machine follows"),
-    (SafeUnheard, "confirms nothing", "answers nothing and goes on"),
-    (SafeSlowly, "is off when it says so", "it hangs"),
-    (SafeLate, "is off when it says so", "takes 3.00 s"),
-    (SafeByRaising, "confirms nothing", "safe_state raises DeviceError"),
+    (SafeInWords, "is off when confirmed safe", "confirmed while the machine follows"),
+    (SafeUnheard, "never confirms", "answers nothing and goes on"),
+    (SafeSlowly, "is off when confirmed safe", "it hangs"),
+    (SafeLate, "is off when confirmed safe", "takes 3.00 s"),
+    (SafeByRaising, "never confirms", "safe_state raises DeviceError"),
     (Stale, "reads each sample once", "in the cycle in which"),
     (OneBehind, "reads each sample once", "in the cycle in which"),
     (Turns, "reads si units", "turns for radians?"),
     (Degrees, "reads si units", "degrees for radians?"),
-    (AlwaysEngaged, "tells whether it is engaged", "engaged is true before anything was engaged"),
+    (AlwaysEngaged, "reports whether it is engaged", "engaged is true before anything was engaged"),
     (Reversed, "follows its setpoint", "the other sense?"),
-    (Clips, "refuses what it cannot follow", "command(nan) is taken"),
+    (Clips, "refuses setpoints out of range", "command(nan) is taken"),
     (Unguarded, "stops without its host", "after the host's last sign"),
-    (HoldsOldValues, "leaves out what did not come", "still reads"),
+    (HoldsOldValues, "reads nan from a silent drive", "still reads"),
     (OldCurrentAndAngle, "reads each sample once", "q_axis_current reads 0 in the cycle in which 0.2 is true"),
-    (MillivoltsOfTheBus, "streams read what is there", "bus_voltage reads 29600 where 29.6 is true: milli-units?"),
-    (FirstVoltageOfTheBus, "streams read what is there", "bus_voltage reads 29.6 where 27 is true"),
+    (MillivoltsOfTheBus, "streams read true values", "bus_voltage reads 29600 where 29.6 is true: milli-units?"),
+    (FirstVoltageOfTheBus, "streams read true values", "bus_voltage reads 29.6 where 27 is true"),
     (ReversedProfile, "follows its setpoint", "torque_profile: -15.0015 arrives where 1.5 was commanded"),
     (FeedsItself, "stops unless it is fed", "after the host's last sign"),
-    (CutsLate, "is cut at once", "stop_now waits"),
-    (ClosesOnce, "comes and goes", "closed already"),
-    (TakesAllWithIt, "reads si units", "taken the process with it"),
-    (MilliUnits, "measures what is there", "1000 times"),
-    (Repeats, "measures what is there", "a sample comes twice"),
-    (StampsNow, "measures what is there", "before the moment at which a sample is taken"),
-    (FirstReading, "measures what is there", "where"),
-    (Milliseconds, "reads its own files", "its unit of time?"),
-    (AlwaysSupplying, "is off when met", "before switch_on()"),
-    (OffInWords, "is off when it says so", "confirmed while 2 A flow"),
-    (TakesEverything, "refuses what it cannot give", "is taken"),
-    (MostVolts, "gives what it is told", "1.8 V and 3 A at the terminals; 1.2 V and 2 A were expected"),
-    (DoubleBusCurrent, "gives what it is told", "bus_current reads 4 where 2 is true"),
-    (Unprotected, "protects what it feeds", "as asked for, after protect(1.5)"),
-    (ProtectedInWords, "protects what it feeds", "by a failure, after protect(1.5)"),
-    (KeepsItsLastOnTimeOut, "tells silence", "although the device is unplugged"),
-    (SwapsTheUnits, "names its quantities", "iq: q_axis_current is in 'rad/s'; A was expected"),
-    (InventsAQuantity, "names its quantities", "'volume' is no quantity of the vocabulary"),
-    (LeavesAThread, "lets go when closed", "1 more threads run after close()"),
-    (LeavesAFile, "lets go when closed", "1 more files are open after close()"),
-    (OpensTwice, "lets go when closed", "its bus is still open after close()"),
-    (SafeWhereConnected, "stops what another has left on", "goes on as an earlier host has left it"),
-    (NotSafeOnceClosed, "lets go when closed", "safe_state after close() is not confirmed"),
-    (EndsLate, "waits for nothing", "end_cycle() is over 0.02"),
-    (TakesItsTime, "waits for nothing", "take() is over 0.004"),
+    (CutsLate, "is cut by stop now", "stop_now waits"),
+    (ClosesOnce, "can be closed and reopened", "closed already"),
+    (TakesAllWithIt, "reads si units", "ended the process"),
+    (MilliUnits, "measures true values", "1000 times"),
+    (Repeats, "measures true values", "a sample comes twice"),
+    (StampsNow, "measures true values", "before the moment at which a sample is taken"),
+    (FirstReading, "measures true values", "where"),
+    (Milliseconds, "reads exported files", "its unit of time?"),
+    (AlwaysSupplying, "is off until switched on", "before switch_on()"),
+    (OffInWords, "is off when confirmed safe", "confirmed while 2 A flow"),
+    (TakesEverything, "refuses levels out of range", "is taken"),
+    (MostVolts, "outputs its set levels", "1.8 V and 3 A at the terminals; 1.2 V and 2 A were expected"),
+    (DoubleBusCurrent, "outputs its set levels", "bus_current reads 4 where 2 is true"),
+    (Unprotected, "keeps below its protection", "as asked for, after protect(1.5)"),
+    (ProtectedInWords, "keeps below its protection", "by a failure, after protect(1.5)"),
+    (KeepsItsLastOnTimeOut, "reports disconnection", "although the device is unplugged"),
+    (SwapsTheUnits, "declares known quantities and units", "iq: q_axis_current is in 'rad/s'; A was expected"),
+    (InventsAQuantity, "declares known quantities and units", "'volume' is no quantity of the vocabulary"),
+    (LeavesAThread, "releases everything when closed", "1 more threads run after close()"),
+    (LeavesAFile, "releases everything when closed", "1 more files are open after close()"),
+    (OpensTwice, "releases everything when closed", "its bus is still open after close()"),
+    (SafeWhereConnected, "safe state stops a device left on", "continues as an earlier host left it"),
+    (NotSafeOnceClosed, "releases everything when closed", "safe_state after close() is not confirmed"),
+    (EndsLate, "never waits", "end_cycle() ends 0.02"),
+    (TakesItsTime, "never waits", "take() ends 0.004"),
 ]
 
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
-    monkeypatch.setattr(running, "WALL_S", 3.0)
+    monkeypatch.setattr(running, "TRIAL_TIMEOUT_S", 3.0)
 
 
 def faults_of(driver):
@@ -538,7 +538,7 @@ class Waits(ElmoProbe):
 )
 def test_a_defect_of_a_probe_is_found_and_named(probe, trial, said, tmp_path):
     driver = type("Probed", (ElmoCan,), {"probe": probe()})
-    faults = {plain(each): outcome(each, driver, tmp_path) for each in probing.TRIALS}
+    faults = {trial_name(each): run_in_this_process(each, driver, tmp_path) for each in probing.TRIALS}
     assert said in faults[trial], faults
 
 

@@ -9,21 +9,23 @@ from leactl.driver.far_end import Breakable
 from leactl.emulation.trial.stand import ANSWER_S, PERIOD_S, Broken, Stand
 from leactl.errors import DeviceError, InputError, LeactlError
 
-ENGAGED_S = 5.0  # within which a drive has to enter operation or say that it does not
-NOTICED_S = 3.0  # within which the driver has to report a drive that stops answering
-NEAR = 0.01  # of a value, for resolution and rounding
+ENGAGE_S = 5.0  # time for a drive to enter operation or to report that it cannot
+NOTICE_S = 3.0  # time for the driver to report a drive that has stopped answering
 STEPS = {"q_axis_current": 0.2, "velocity": 0.5, "angle": 0.05}  # A, rad/s, rad: change from one cycle to the next
-LEAST_V = 0.1
-LEAST = {"q_axis_current": 0.05, "velocity": 0.02, "angle": 0.002}  # A, rad/s, rad: allowed difference near zero
+# largest error of a reading: a share of the true value, plus the device's resolution in A, rad/s, rad and V
+VALUE_TOLERANCE = 0.01
+RESOLUTION = {"q_axis_current": 0.05, "velocity": 0.02, "angle": 0.002}
+VOLTAGE_RESOLUTION = 0.1
+SETPOINT_RESOLUTION = 0.05  # A, rad/s or rad, of a setpoint that reaches the machine
 SETPOINTS = {
     Mode.CURRENT: ("current", 1.5),
     Mode.TORQUE_PROFILE: ("current", 1.5),
     Mode.VELOCITY: ("velocity", 2.0),
     Mode.ANGLE: ("angle", 0.5),
 }
-RAMP_S, RAMP_CYCLES = 10.0, 5  # within which a ramped setpoint arrives; cycles in which it then stays constant
-ROWS, ROWS_S = 2, 20.0  # of a stream after the machine has changed, and the time within which they arrive
-FACTORS = {
+RAMP_S, RAMP_CYCLES = 10.0, 5  # time for a ramped setpoint to arrive; cycles for which it then stays constant
+LEAST_ROWS, ROWS_S = 2, 20.0  # rows of a stream after the machine has changed, and the time for them to arrive
+UNIT_MISTAKES = {
     "turns for radians": 1 / (2 * math.pi),
     "radians for turns": 2 * math.pi,
     "degrees for radians": 180 / math.pi,
@@ -56,13 +58,13 @@ def modes_of(stand: Stand) -> list[Mode]:
 def engage(stand: Stand, mode: Mode) -> None:
     """Bring the drive into operation."""
     stand.motion.engage(mode)
-    for _ in stand.cycles(ENGAGED_S):
+    for _ in stand.cycles(ENGAGE_S):
         if stand.motion.engaged:
             return
-    raise Broken(f"engage({mode}) has not led to operation after {ENGAGED_S:g} s, nor was that told")
+    raise Broken(f"engage({mode}) has not led to operation after {ENGAGE_S:g} s, and no error was raised")
 
 
-def in_operation(stand: Stand) -> Mode:
+def enter_operation(stand: Stand) -> Mode:
     """Open the drive and let it follow a setpoint; returns the mode."""
     stand.driver.open()
     mode = modes_of(stand)[0]
@@ -78,13 +80,13 @@ def reads_si_units(stand: Stand) -> None:
 
     The drive is in operation, because a drive that is off may report no current.
     """
-    in_operation(stand)
+    enter_operation(stand)
     for truth in TRUE_VALUES:
         machine = stand.machine
         machine.current, machine.velocity, machine.angle = truth
         for _ in range(3):
             stand.cycle()
-        for quantity, true in zip(LEAST, truth, strict=True):
+        for quantity, true in zip(RESOLUTION, truth, strict=True):
             compare(quantity, stand.read(quantity), true)
 
 
@@ -92,15 +94,15 @@ def compare(quantity: str, read: float, true: float) -> None:
     """Raise Broken if a reading differs from the true value."""
     if math.isnan(read):
         raise Broken(f"{quantity} is missing, or NaN although the drive answers")
-    if abs(read - true) <= NEAR * abs(true) + LEAST[quantity]:
+    if abs(read - true) <= VALUE_TOLERANCE * abs(true) + RESOLUTION[quantity]:
         return
-    raise Broken(f"{quantity} reads {read:.6g} where {true:g} is true{meant(read, true)}")
+    raise Broken(f"{quantity} reads {read:.6g} where {true:g} is true{unit_hint(read, true)}")
 
 
-def meant(value: float, true: float) -> str:
+def unit_hint(value: float, true: float) -> str:
     """Text that names the likely mistake of units as a question; empty if no known factor explains the value."""
-    for mistake, factor in FACTORS.items():
-        if abs(value - factor * true) <= 2.0 * NEAR * abs(factor * true):
+    for mistake, factor in UNIT_MISTAKES.items():
+        if abs(value - factor * true) <= 2.0 * VALUE_TOLERANCE * abs(factor * true):
             return f": {mistake}?"
     return ""
 
@@ -110,7 +112,7 @@ def reads_each_sample_once(stand: Stand) -> None:
 
     The drive is in operation, because a drive that is off may report no current.
     """
-    in_operation(stand)
+    enter_operation(stand)
     machine = stand.machine
     machine.current, machine.velocity, machine.angle = 0.0, 0.0, 0.0
     stand.cycle()
@@ -120,27 +122,28 @@ def reads_each_sample_once(stand: Stand) -> None:
         stand.cycle()
         for quantity, step in STEPS.items():
             read, true = stand.read(quantity), step * number
-            if math.isnan(read) or abs(read - true) > NEAR * true + LEAST[quantity]:
+            if math.isnan(read) or abs(read - true) > VALUE_TOLERANCE * true + RESOLUTION[quantity]:
                 raise Broken(
                     f"{quantity} reads {read:.4g} in the cycle in which {true:g} is true,"
                     f" {number - read / step:.2g} behind"
                 )
 
 
-def streams_read_what_is_there(stand: Stand) -> None:
+def streams_read_true_values(stand: Stand) -> None:
     """Voltages that are read at their own rate, or with the readings of a cycle, equal the machine's, in V."""
-    in_operation(stand)
+    enter_operation(stand)
     for bus_voltage, voltage in ((29.6, 3.25), (27.0, -2.0)):
         stand.machine.bus_voltage, stand.machine.voltage = bus_voltage, voltage
         true = {"bus_voltage": bus_voltage, "q_axis_voltage": voltage}
-        for quantity, read in newest(stand).items():
-            if quantity in true and not abs(read - true[quantity]) <= NEAR * abs(true[quantity]) + LEAST_V:
-                raise Broken(
-                    f"{quantity} reads {read:.6g} where {true[quantity]:g} is true{meant(read, true[quantity])}"
-                )
+        for quantity, read in newest_values(stand).items():
+            if quantity not in true:
+                continue
+            expected = true[quantity]
+            if not abs(read - expected) <= VALUE_TOLERANCE * abs(expected) + VOLTAGE_RESOLUTION:
+                raise Broken(f"{quantity} reads {read:.6g} where {expected:g} is true{unit_hint(read, expected)}")
 
 
-def newest(stand: Stand) -> dict[str, float]:
+def newest_values(stand: Stand) -> dict[str, float]:
     """Newest value of each channel after some cycles, by quantity."""
     began, rows = stand.clock.now(), {spec.name: list[Row]() for spec in stand.driver.streams}
     for _ in stand.cycles(ROWS_S):
@@ -148,7 +151,7 @@ def newest(stand: Stand) -> dict[str, float]:
             row = item.last if isinstance(item, SampleBlock) else item
             if row.time >= began:
                 rows[row.stream].append(row)
-        if all(len(rows_of_stream) >= ROWS for rows_of_stream in rows.values()):
+        if all(len(rows_of_stream) >= LEAST_ROWS for rows_of_stream in rows.values()):
             break
     else:
         stream, rows_of_stream = min(rows.items(), key=lambda item: len(item[1]))
@@ -161,20 +164,20 @@ def newest(stand: Stand) -> dict[str, float]:
     return values
 
 
-def leaves_out_what_did_not_come(stand: Stand) -> None:
+def reads_nan_from_a_silent_drive(stand: Stand) -> None:
     """A drive that stops answering gives NaN, and the driver reports it."""
     stand.driver.open()
     stand.cycle()
     freeze(stand)
     stand.machine.velocity = 9.0
-    end = stand.clock.now() + NOTICED_S
+    end = stand.clock.now() + NOTICE_S
     with suppress(DeviceError):
         while stand.clock.now() < end:
             stand.cycle()
             read = stand.read("velocity")
             if not math.isnan(read):
                 raise Broken(f"velocity still reads {read:.4g} after the drive has fallen silent; NaN was expected")
-        raise Broken(f"a drive that has been silent for {NOTICED_S:g} s was not told")
+        raise Broken(f"a drive that has been silent for {NOTICE_S:g} s was not reported")
 
 
 def freeze(stand: Stand) -> None:
@@ -185,7 +188,7 @@ def freeze(stand: Stand) -> None:
         stand.cut()
 
 
-def tells_whether_it_is_engaged(stand: Stand) -> None:
+def reports_whether_it_is_engaged(stand: Stand) -> None:
     """`engaged` reports the state of the drive: false before operation, after release, and in a fault."""
     stand.driver.open()
     stand.cycle()
@@ -221,12 +224,14 @@ def follows_its_setpoint(stand: Stand) -> None:
         name, value = SETPOINTS[mode]
         for setpoint in (value, -value):
             stand.motion.command(setpoint)
-            followed, reached = arrived(stand, mode)
+            followed, reached = final_setpoint(stand, mode)
             if followed != name:
                 raise Broken(f"the machine follows '{followed}' where '{mode}' was engaged")
-            if abs(reached - setpoint) > NEAR * abs(setpoint) + 0.05:
+            if abs(reached - setpoint) > VALUE_TOLERANCE * abs(setpoint) + SETPOINT_RESOLUTION:
                 causes = [
-                    text for text, factor in FACTORS.items() if abs(reached - factor * setpoint) <= 0.02 * abs(reached)
+                    mistake
+                    for mistake, factor in UNIT_MISTAKES.items()
+                    if abs(reached - factor * setpoint) <= 0.02 * abs(reached)
                 ]
                 hint = f": {causes[0]}?" if causes else ""
                 raise Broken(f"{mode}: {reached:.6g} arrives where {setpoint:g} was commanded{hint}")
@@ -237,7 +242,7 @@ def follows_its_setpoint(stand: Stand) -> None:
             raise Broken(f"{mode}: the machine still follows {stand.machine.following} half a second after release()")
 
 
-def arrived(stand: Stand, mode: Mode) -> tuple[str, float]:
+def final_setpoint(stand: Stand, mode: Mode) -> tuple[str, float]:
     """The machine's mode and setpoint two cycles after a command; for a ramped setpoint, once it stays constant."""
     stand.cycle()
     stand.cycle()
@@ -268,7 +273,7 @@ def begins_at_rest(stand: Stand) -> None:
             pass
 
 
-def refuses_what_it_cannot_follow(stand: Stand) -> None:
+def refuses_setpoints_out_of_range(stand: Stand) -> None:
     """A setpoint that is not finite, or beyond what the device can hold, is refused, not clipped."""
     stand.driver.open()
     for mode in modes_of(stand):
@@ -288,7 +293,7 @@ def refuses_what_it_cannot_follow(stand: Stand) -> None:
             pass
 
 
-def confirmed(stand: Stand, deadline: float = SAFE_STATE_S) -> bool:
+def call_safe_state(stand: Stand, deadline: float = SAFE_STATE_S) -> bool:
     """Call `safe_state` and return whether it confirms; raise Broken if it raises or exceeds the deadline."""
     began = stand.clock.now()
     try:
@@ -301,47 +306,47 @@ def confirmed(stand: Stand, deadline: float = SAFE_STATE_S) -> bool:
     return bool(confirmation.safe)
 
 
-def is_off_when_it_says_so(stand: Stand) -> None:
+def is_off_when_confirmed_safe(stand: Stand) -> None:
     """`safe_state` takes the power away, in operation, before `open`, and when it is called again."""
-    confirmed_off(stand, "before open()")
-    in_operation(stand)
-    confirmed_off(stand, "in operation")
-    confirmed_off(stand, "the second time")
+    check_off_when_confirmed(stand, "before open()")
+    enter_operation(stand)
+    check_off_when_confirmed(stand, "in operation")
+    check_off_when_confirmed(stand, "the second time")
 
 
-def confirmed_off(stand: Stand, when: str) -> None:
+def check_off_when_confirmed(stand: Stand, when: str) -> None:
     """Make a drive that answers safe, and check that the machine is off."""
-    if not confirmed(stand):
+    if not call_safe_state(stand):
         raise Broken(f"safe_state {when} is not confirmed although the drive answers")
     if stand.machine.following[0] != "off":
         raise Broken(f"safe_state {when} is confirmed while the machine follows {stand.machine.following}")
 
 
-def confirms_nothing_unheard(stand: Stand) -> None:
+def never_confirms_a_silent_drive(stand: Stand) -> None:
     """`safe_state` is not confirmed if the drive does not answer, and returns by its deadline."""
-    silent_in_operation(stand, freeze)
+    check_unconfirmed_in_silence(stand, freeze)
 
 
-def confirms_nothing_over_a_cut_cable(stand: Stand) -> None:
+def never_confirms_over_a_cut_cable(stand: Stand) -> None:
     """`safe_state` is not confirmed if the cable is unplugged."""
-    silent_in_operation(stand, Stand.cut)
+    check_unconfirmed_in_silence(stand, Stand.cut)
 
 
-def silent_in_operation(stand: Stand, silence: Callable[[Stand], None]) -> None:
+def check_unconfirmed_in_silence(stand: Stand, silence: Callable[[Stand], None]) -> None:
     """Silence a drive in operation, and check that `safe_state` does not confirm while the machine runs."""
-    in_operation(stand)
+    enter_operation(stand)
     silence(stand)
-    if confirmed(stand) and stand.machine.following[0] != "off":
+    if call_safe_state(stand) and stand.machine.following[0] != "off":
         raise Broken("safe_state is confirmed by a drive that answers nothing and goes on")
 
 
-def is_cut_at_once(stand: Stand) -> None:
+def is_cut_by_stop_now(stand: Stand) -> None:
     """`stop_now` sends the command that takes the power away, and does not wait."""
-    in_operation(stand)
+    enter_operation(stand)
     began = stand.clock.now()
     stand.driver.stop_now()
     if stand.clock.now() > began:
-        raise Broken(f"stop_now waits for {stand.clock.now() - began:.3f} s; nothing is waited for there")
+        raise Broken(f"stop_now waits for {stand.clock.now() - began:.3f} s; it must not wait")
     stand.wait(ANSWER_S)
     if stand.machine.following[0] != "off":
         raise Broken(f"the machine still follows {stand.machine.following} after stop_now()")
@@ -349,7 +354,7 @@ def is_cut_at_once(stand: Stand) -> None:
 
 def stops_without_its_host(stand: Stand) -> None:
     """A drive that monitors its host stops within the declared time once nothing arrives, and not before."""
-    stops_unfed(stand, lambda seconds: stand.wait(seconds + PERIOD_S))
+    check_stop_without_host(stand, lambda seconds: stand.wait(seconds + PERIOD_S))
 
 
 def stops_unless_it_is_fed(stand: Stand) -> None:
@@ -362,15 +367,15 @@ def stops_unless_it_is_fed(stand: Stand) -> None:
                 pass
         stand.clock.sleep_until(end)
 
-    stops_unfed(stand, go_on)
+    check_stop_without_host(stand, go_on)
 
 
-def stops_unfed(stand: Stand, let_pass: Callable[[float], None]) -> None:
+def check_stop_without_host(stand: Stand, let_pass: Callable[[float], None]) -> None:
     """Check that a drive in operation stops while `let_pass` passes time [s] without its host."""
     silence = stand.settings.host_silence_s
     if silence is None:
         return
-    in_operation(stand)
+    enter_operation(stand)
     for _ in stand.cycles(6.0 * silence):
         pass
     if not stand.motion.engaged:
@@ -385,33 +390,33 @@ def stops_unfed(stand: Stand, let_pass: Callable[[float], None]) -> None:
         )
 
 
-def comes_and_goes(stand: Stand) -> None:
+def can_be_closed_and_reopened(stand: Stand) -> None:
     """The driver may be closed before it is opened, closed twice, and opened again."""
     stand.driver.close()
-    in_operation(stand)
-    confirmed_off(stand, "in operation")
+    enter_operation(stand)
+    check_off_when_confirmed(stand, "in operation")
     try:
         stand.driver.close()
         stand.driver.close()
     except LeactlError as error:
         raise Broken(f"close() raises where it is closed already: {error}") from None
-    in_operation(stand)
+    enter_operation(stand)
 
 
 TRIALS = (
     reads_si_units,
     reads_each_sample_once,
-    streams_read_what_is_there,
-    leaves_out_what_did_not_come,
-    tells_whether_it_is_engaged,
+    streams_read_true_values,
+    reads_nan_from_a_silent_drive,
+    reports_whether_it_is_engaged,
     begins_at_rest,
     follows_its_setpoint,
-    refuses_what_it_cannot_follow,
-    is_off_when_it_says_so,
-    confirms_nothing_unheard,
-    confirms_nothing_over_a_cut_cable,
-    is_cut_at_once,
+    refuses_setpoints_out_of_range,
+    is_off_when_confirmed_safe,
+    never_confirms_a_silent_drive,
+    never_confirms_over_a_cut_cable,
+    is_cut_by_stop_now,
     stops_without_its_host,
     stops_unless_it_is_fed,
-    comes_and_goes,
+    can_be_closed_and_reopened,
 )

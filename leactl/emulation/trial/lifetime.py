@@ -10,22 +10,22 @@ from leactl.emulation.trial.stand import ANSWER_S, Broken, Stand
 from leactl.errors import DeviceError
 from leactl.quantities import accepted_units
 
-LOOKED_S, LOOK_S = 0.5, 0.01
-LATE_S = 1e-6  # of rounding
-OPEN_FILES = Path("/proc/self/fd")  # of Linux alone; elsewhere only threads and ports are counted
+WATCH_S, POLL_S = 0.5, 0.01  # duration of the cycles whose calls are timed, and of one cycle
+ROUNDING_S = 1e-6  # rounding error of the emulated clock
+FILE_DESCRIPTORS = Path("/proc/self/fd")  # only on Linux; elsewhere only threads and ports are counted
 
 
-def in_use(stand: Stand) -> None:
+def put_to_use(stand: Stand) -> None:
     """Open a device and put it to its use: operation, output on, or open."""
     if isinstance(stand.driver, MotionDevice):
-        drives.in_operation(stand)
+        drives.enter_operation(stand)
     elif isinstance(stand.driver, PowerSupply):
-        supplies.switched_on(stand)
+        supplies.open_and_switch_on(stand)
     else:
         stand.driver.open()
 
 
-def names_its_quantities(stand: Stand) -> None:
+def declares_known_quantities_and_units(stand: Stand) -> None:
     """Each channel has a quantity of the vocabulary and a unit of that quantity."""
     stand.driver.open()
     channels = [channel for spec in stand.driver.streams for channel in spec.channels]
@@ -41,26 +41,26 @@ def names_its_quantities(stand: Stand) -> None:
             )
 
 
-def waits_for_nothing(stand: Stand) -> None:
+def never_waits(stand: Stand) -> None:
     """No call of a cycle waits, except `end_cycle`, which ends by its deadline; also with an unplugged cable."""
-    in_use(stand)
-    calls_in_time(stand, is_cut=False)
+    put_to_use(stand)
+    check_calls_end_in_time(stand, is_cut=False)
     stand.cut()
-    calls_in_time(stand, is_cut=True)
+    check_calls_end_in_time(stand, is_cut=True)
 
 
-def calls_in_time(stand: Stand, is_cut: bool) -> None:
+def check_calls_end_in_time(stand: Stand, is_cut: bool) -> None:
     """Make the calls of some cycles, and raise Broken if one ends late; any call may report an unplugged cable."""
 
     def call(name: str, longest: float, *arguments: float) -> None:
         deadline = stand.clock.now() + longest
         with suppress(DeviceError) if is_cut else nullcontext():
             getattr(stand.driver, name)(*arguments)
-        if (late := stand.clock.now() - deadline) > LATE_S:
-            raise Broken(f"{name}() is over {late:.4f} s too late; it may hold up no cycle")
+        if (late := stand.clock.now() - deadline) > ROUNDING_S:
+            raise Broken(f"{name}() ends {late:.4f} s too late; no call may delay a cycle")
 
     began = stand.clock.now()
-    while (now := stand.clock.now()) < began + LOOKED_S:
+    while (now := stand.clock.now()) < began + WATCH_S:
         if isinstance(stand.driver, MotionDevice):
             call("begin_cycle", 0.0)
             with suppress(DeviceError) if is_cut else nullcontext():
@@ -69,49 +69,50 @@ def calls_in_time(stand: Stand, is_cut: bool) -> None:
             call("feed", 0.0)
         call("take", 0.0)
         call("notices", 0.0)
-        stand.clock.sleep_until(now + LOOK_S)
+        stand.clock.sleep_until(now + POLL_S)
 
 
-def lets_go_when_closed(stand: Stand) -> None:
+def releases_everything_when_closed(stand: Stand) -> None:
     """`close` leaves no port, thread or file open; `safe_state` is confirmed afterwards too."""
-    in_use(stand)
+    put_to_use(stand)
     stand.driver.close()
     stand.renew_driver()
-    threads, files = threading.active_count(), open_files()  # a process makes some at the first use, and never again
-    in_use(stand)
-    if not drives.confirmed(stand):
+    # counted after the first use, which may start threads that stay
+    threads, files = threading.active_count(), count_open_files()
+    put_to_use(stand)
+    if not drives.call_safe_state(stand):
         raise Broken("safe_state in operation is not confirmed although the device answers")
     stand.driver.close()
-    holds_nothing(stand, threads, files)
-    if not drives.confirmed(stand):
+    check_released(stand, threads, files)
+    if not drives.call_safe_state(stand):
         raise Broken("safe_state after close() is not confirmed although the device answers")
     stand.driver.close()
 
 
-def holds_nothing(stand: Stand, threads: int, files: int) -> None:
+def check_released(stand: Stand, threads: int, files: int) -> None:
     """Raise Broken if a port, a thread or a file is open that was not open before."""
     if stand.is_connected:
         raise Broken("its bus is still open after close(): the port is opened more often than it is closed")
     if (extra := threading.active_count() - threads) > 0:
         raise Broken(f"{extra} more threads run after close() than before open()")
-    if (extra := open_files() - files) > 0:
+    if (extra := count_open_files() - files) > 0:
         raise Broken(f"{extra} more files are open after close() than before open()")
 
 
-def open_files() -> int:
+def count_open_files() -> int:
     """Number of file descriptors of this process; 0 if the system cannot list them."""
-    return len(list(OPEN_FILES.iterdir())) if OPEN_FILES.is_dir() else 0
+    return len(list(FILE_DESCRIPTORS.iterdir())) if FILE_DESCRIPTORS.is_dir() else 0
 
 
-def stops_what_another_has_left_on(stand: Stand) -> None:
+def safe_state_stops_a_device_left_on(stand: Stand) -> None:
     """`safe_state` of a driver that was never opened takes the power from a device that an earlier host left on."""
-    in_use(stand)
+    put_to_use(stand)
     stand.renew_driver()
-    if not drives.confirmed(stand):
+    if not drives.call_safe_state(stand):
         raise Broken("safe_state before open() is not confirmed although the device answers")
     if stand.machine.following[0] != "off" or stand.bench.load.fed[1] > 0.0:
-        raise Broken("safe_state before open() is confirmed while the device goes on as an earlier host has left it")
+        raise Broken("safe_state before open() is confirmed while the device continues as an earlier host left it")
 
 
-TRIALS = (names_its_quantities, waits_for_nothing, lets_go_when_closed)
-OF_OUTPUTS = (stops_what_another_has_left_on,)
+TRIALS = (declares_known_quantities_and_units, never_waits, releases_everything_when_closed)
+OUTPUT_TRIALS = (safe_state_stops_a_device_left_on,)

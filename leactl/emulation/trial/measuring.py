@@ -7,28 +7,34 @@ from numpy.typing import NDArray
 
 from leactl.driver.contract import Row, SampleBlock
 from leactl.driver.file_records import BatchSource
-from leactl.emulation.trial.drives import confirmed
+from leactl.emulation.trial.drives import call_safe_state
 from leactl.emulation.trial.known_bench import RISE
 from leactl.emulation.trial.stand import Broken, Stand
 from leactl.errors import DeviceError
 from leactl.quantities import FLAGS
 
-MEASURED_S = 5.0  # at least, in which a quantity rises by `RISE`, and within `LATE_S` by at most `NEAR` of a value
-RECORDED_S = 20.0
-SAMPLES = 10  # that are to be measured at least
-SLOWEST_S = 60.0  # between two samples of the slowest channel
-LOOKS, LOOKS_S = 500, 0.002  # readings of a device while it measures, and the shortest time between two of them
-STEP_S = 0.01  # between two values of a machine while it is recorded
-FEWEST_ROWS, NEAR_SLOPE = 4, 0.05  # of a record, and how near its rise in a second has to be to the true one
-UNLIKE_MULTIPLE = 0.01  # largest difference of a value from a multiple of the step, as a share of the step
-COARSEST = 0.25  # of a quantity's rise: the largest step between two values that an instrument may show
-NEAR = 0.01  # of the range of what was measured, and of a value
-LATE_S = 0.1  # by which a stamp may be earlier than the reading of its row
-OF_MACHINE = ("q_axis_current", "velocity", "angle", "bus_voltage")  # what a drive's own recorder may have
+MOST_DELAY_S = 0.1  # from the stamp of a row to the time at which it is read
+VALUE_TOLERANCE = 0.01  # largest error of a reading, as a share of the largest true value
+# largest error beside that, in the channel's unit: for rounding where every true value is 0, as of a flag that is off;
+# 0.2 % of the smallest value of `BASES`
+ABSOLUTE_TOLERANCE = 1e-3
+LEAST_MEASURED_S = 5.0  # for a rise by RISE, so that a quantity changes by less than VALUE_TOLERANCE in MOST_DELAY_S
+LEAST_SAMPLES = 10  # of the slowest channel
+LONGEST_INTERVAL_S = 60.0  # between two samples of the slowest channel
+MOST_POLLS, LEAST_POLL_S = 500, 0.002  # calls of `take` during a measurement, and the shortest time between two of them
+MOST_STEP_SHARE = 0.25  # largest step between two values of a display, as a share of the quantity's rise
+MULTIPLE_TOLERANCE = 0.01  # largest difference of a value from a multiple of the step, as a share of the step
+RECORDED_S = 20.0  # duration for which the machine is recorded into files
+MACHINE_STEP_S = 0.01  # time between two values of the machine while it is recorded
+FEWEST_ROWS = 4  # of a record
+SLOPE_TOLERANCE = 0.05  # largest error of a record's slope, as a share of the true one
+MACHINE_QUANTITIES = ("q_axis_current", "velocity", "angle", "bus_voltage")  # channels of a drive's own recorder
 Samples = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]  # by channel, times and values
 
 
-def take_samples(stand: Stand, seconds: float, looks_s: float = LOOKS_S) -> tuple[Samples, list[tuple[float, float]]]:
+def take_samples(
+    stand: Stand, seconds: float, poll_s: float = LEAST_POLL_S
+) -> tuple[Samples, list[tuple[float, float]]]:
     """Read a device while time passes.
 
     Returns the samples of each channel, and for each row its stamp and the time at which it was read.
@@ -46,15 +52,15 @@ def take_samples(stand: Stand, seconds: float, looks_s: float = LOOKS_S) -> tupl
                     times, values = gathered.setdefault(name, ([], []))
                     times.append(row.time)
                     values.append(float(value))
-        stand.wait(looks_s)
+        stand.wait(poll_s)
     return {name: (np.asarray(times), np.asarray(values)) for name, (times, values) in gathered.items()}, moments
 
 
-def interval_of(stand: Stand) -> float:
+def longest_interval(stand: Stand) -> float:
     """Time [s] between two samples of the slowest channel, from the first two stamps of each."""
     names = [channel.name for spec in stand.driver.streams for channel in spec.channels]
     stamps: dict[str, list[float]] = {name: [] for name in names}
-    end, seconds = stand.clock.now() + 2.0 * SLOWEST_S, 2.0 * LOOKS_S
+    end, seconds = stand.clock.now() + 2.0 * LONGEST_INTERVAL_S, 2.0 * LEAST_POLL_S
     while stand.clock.now() < end:
         for name, (times, _) in take_samples(stand, seconds)[0].items():
             stamps[name] += times.tolist()
@@ -62,19 +68,19 @@ def interval_of(stand: Stand) -> float:
             return max(times[1] - times[0] for times in stamps.values())
         seconds = min(2.0 * seconds, 1.0)
     slowest, count = min(((name, len(times)) for name, times in stamps.items()), key=lambda item: item[1])
-    raise Broken(f"{slowest}: {count} samples in {2.0 * SLOWEST_S:g} s")
+    raise Broken(f"{slowest}: {count} samples in {2.0 * LONGEST_INTERVAL_S:g} s")
 
 
-def measures_what_is_there(stand: Stand) -> None:
+def measures_true_values(stand: Stand) -> None:
     """Every channel measures the quantity of its name, in its unit, at the time of its stamp, each sample once."""
     stand.driver.open()
-    interval = interval_of(stand)
-    seconds = max(MEASURED_S, SAMPLES * interval)
+    interval = longest_interval(stand)
+    seconds = max(LEAST_MEASURED_S, LEAST_SAMPLES * interval)
     stand.bench.rise(seconds, interval)
-    began, looks_s = stand.clock.now(), max(LOOKS_S, min(seconds / LOOKS, 0.5 * LATE_S))
-    samples, moments = take_samples(stand, seconds, looks_s)
+    began, poll_s = stand.clock.now(), max(LEAST_POLL_S, min(seconds / MOST_POLLS, 0.5 * MOST_DELAY_S))
+    samples, moments = take_samples(stand, seconds, poll_s)
     early = [read_at - stamp for stamp, read_at in moments] or [0.0]
-    if min(early) < -1e-9 or max(early) > LATE_S + seconds / max(len(moments), 1):
+    if min(early) < -1e-9 or max(early) > MOST_DELAY_S + seconds / max(len(moments), 1):
         raise Broken(f"stamps lie {min(early):.3g} to {max(early):.3g} s before the moment at which a sample is taken")
     channels = {channel.name: channel for spec in stand.driver.streams for channel in spec.channels}
     for name, channel in channels.items():
@@ -85,42 +91,41 @@ def measures_what_is_there(stand: Stand) -> None:
         if len(times) < 2:
             raise Broken(f"{name}: {len(times)} samples in {seconds:g} s, although two came {interval:g} s apart")
         if channel.quantity in FLAGS:
-            settled = has_not_switched(stand, channel.quantity, times)
-            times, values = times[settled], values[settled]
+            constant = is_flag_constant(stand, channel.quantity, times)
+            times, values = times[constant], values[constant]
         compare(name, values, np.asarray(stand.bench.true_value(channel.quantity, times), np.float64))
 
 
-def has_not_switched(stand: Stand, quantity: str, times: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether a flag is constant for `LATE_S` after each time, as an instrument may read it a little later."""
-    before, after = (stand.bench.true_value(quantity, times + late) for late in (0.0, LATE_S))
+def is_flag_constant(stand: Stand, quantity: str, times: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether a flag is constant for `MOST_DELAY_S` after each time [s]: an instrument may read it a little later."""
+    before, after = (stand.bench.true_value(quantity, times + delay) for delay in (0.0, MOST_DELAY_S))
     return np.asarray(before == after, np.bool_)
 
 
 def compare(name: str, values: NDArray[np.float64], true: NDArray[np.float64]) -> None:
     """Raise Broken if the measured values differ from the true ones."""
-    if np.isnan(values).any():
-        raise Broken(f"{name}: {int(np.isnan(values).sum())} of {len(values)} samples are NaN although all is well")
-    allowed = NEAR * float(np.max(np.abs(true))) + 1e-3 + shown_step(values, true)
+    if missing := int(np.isnan(values).sum()):
+        raise Broken(f"{name}: {missing} of {len(values)} samples are NaN although the device works")
+    tolerance = VALUE_TOLERANCE * float(np.max(np.abs(true))) + ABSOLUTE_TOLERANCE + display_step(values, true)
     difference = np.abs(values - true)
-    if float(np.max(difference)) > allowed:
+    if float(np.max(difference)) > tolerance:
         worst = int(np.argmax(difference))
+        reading, expected = values[worst], true[worst]
         ratio = float(np.sum(values * true) / max(float(np.sum(true * true)), 1e-12))
-        raise Broken(
-            f"{name} reads {values[worst]:.6g} where {true[worst]:.6g} is true; all together {ratio:.4g} times"
-        )
+        raise Broken(f"{name} reads {reading:.6g} where {expected:.6g} is true; {ratio:.4g} times the true values")
 
 
-def shown_step(values: NDArray[np.float64], true: NDArray[np.float64]) -> float:
+def display_step(values: NDArray[np.float64], true: NDArray[np.float64]) -> float:
     """Step of which all values of a display are multiples; 0 if there is none, or if it hides the rise."""
     steps = np.diff(np.unique(values))
     step = float(np.min(steps)) if len(steps) else 0.0
-    if not 0.0 < step <= COARSEST * float(np.ptp(true)):
+    if not 0.0 < step <= MOST_STEP_SHARE * float(np.ptp(true)):
         return 0.0
     counts = values / step
-    return step if float(np.max(np.abs(counts - np.round(counts)))) < UNLIKE_MULTIPLE else 0.0
+    return step if float(np.max(np.abs(counts - np.round(counts)))) < MULTIPLE_TOLERANCE else 0.0
 
 
-def tells_silence(stand: Stand) -> None:
+def reports_disconnection(stand: Stand) -> None:
     """The driver of an unplugged device reports it, or gives no more readings."""
     stand.driver.open()
     take_samples(stand, 0.2)
@@ -138,16 +143,16 @@ def tells_silence(stand: Stand) -> None:
         raise Broken(f"{late_readings} readings of the last half second have come although the device is unplugged")
 
 
-def is_harmless(stand: Stand) -> None:
+def confirms_safe_state(stand: Stand) -> None:
     """`safe_state` of a device that only measures is confirmed, before `open` and in operation, and does not raise."""
     for when in ("before open()", "in operation"):
-        if not confirmed(stand):
+        if not call_safe_state(stand):
             raise Broken(f"safe_state {when} is not confirmed although the device only measures")
         if when == "before open()":
             stand.driver.open()
 
 
-def comes_and_goes(stand: Stand) -> None:
+def can_be_closed_and_reopened(stand: Stand) -> None:
     """The driver may be closed before it is opened, closed twice, and opened again."""
     stand.driver.close()
     stand.driver.open()
@@ -156,7 +161,7 @@ def comes_and_goes(stand: Stand) -> None:
     stand.driver.open()
 
 
-def reads_its_own_files(stand: Stand) -> None:
+def reads_exported_files(stand: Stand) -> None:
     """The driver reads a file that the device's program wrote, with the true quantities and their true rise in time."""
     source, bench, machine = stand.driver, stand.bench, stand.machine
     assert isinstance(source, BatchSource)
@@ -165,9 +170,9 @@ def reads_its_own_files(stand: Stand) -> None:
     end = stand.clock.now() + RECORDED_S
     while (now := stand.clock.now()) < end:
         machine.current, machine.velocity, machine.angle, machine.bus_voltage = (
-            float(bench.true_value(quantity, now)) for quantity in OF_MACHINE
+            float(bench.true_value(quantity, now)) for quantity in MACHINE_QUANTITIES
         )
-        stand.wait(STEP_S)
+        stand.wait(MACHINE_STEP_S)
     files = source.exports.fresh()
     if not files:
         raise Broken(f"its far end has left no file after {RECORDED_S:g} s")
@@ -183,15 +188,16 @@ def reads_its_own_files(stand: Stand) -> None:
 
 def compare_record(name: str, time: NDArray[np.float64], values: NDArray[np.float64], low: float, high: float) -> None:
     """Raise Broken if a recorded channel differs from a linear rise; a record may begin before the rise."""
-    if np.isnan(values).any() or values.min() < low - NEAR * low or values.max() > high + NEAR * high:
+    lowest, highest = (1.0 - VALUE_TOLERANCE) * low, (1.0 + VALUE_TOLERANCE) * high
+    if np.isnan(values).any() or values.min() < lowest or values.max() > highest:
         raise Broken(f"{name} reads {values.min():.5g} to {values.max():.5g}; {low:.5g} to {high:.5g} is true")
     second_half = slice(len(time) // 2, None)
     slope, true = float(np.polyfit(time[second_half] - time[-1], values[second_half], 1)[0]), RISE * low / RECORDED_S
-    if abs(slope - true) > NEAR_SLOPE * true:
+    if abs(slope - true) > SLOPE_TOLERANCE * true:
         raise Broken(
             f"{name} rises by {slope:.4g} in a second of its record where {true:.4g} is true: its unit of time?"
         )
 
 
-STREAMS = (measures_what_is_there, tells_silence, is_harmless, comes_and_goes)
-RECORDS = (reads_its_own_files, is_harmless, comes_and_goes)
+STREAM_TRIALS = (measures_true_values, reports_disconnection, confirms_safe_state, can_be_closed_and_reopened)
+RECORD_TRIALS = (reads_exported_files, confirms_safe_state, can_be_closed_and_reopened)

@@ -6,7 +6,7 @@ from leactl.emulation.trial.stand import ROLE, Broken, Stand
 
 def its_probe_recognises_its_device(stand: Stand) -> None:
     """The probe recognises one device, with the settings that the device has."""
-    report = stand.scanned()
+    report = stand.scan()
     if report.notes:
         raise Broken(f"a scan of its emulator says: {report.notes[0]}")
     if len(report.answered) != 1:
@@ -25,7 +25,7 @@ def its_probe_recognises_its_device(stand: Stand) -> None:
 
 def its_probe_moves_and_energises_nothing(stand: Stand) -> None:
     """The machine stays off, and a supply gives no output, during a scan and after it."""
-    stand.scanned()
+    stand.scan()
     stand.wait(1.0)
     machine, fed = stand.bench.machines.get(ROLE, KnownMachine()), stand.bench.load.fed
     if machine.following[0] != "off" or any(fed):
@@ -35,7 +35,7 @@ def its_probe_moves_and_energises_nothing(stand: Stand) -> None:
 def its_probe_ends_on_a_silent_wire(stand: Stand) -> None:
     """The probe recognises nothing if nothing answers, and ends by itself."""
     stand.cut()
-    report = stand.scanned()
+    report = stand.scan()
     if report.answered:
         raise Broken("a scan of a silent wire saw a device")
     if notes_of_breaks := [note for note in report.notes if "was ended" in note or "breaks" in note]:

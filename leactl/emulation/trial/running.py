@@ -18,7 +18,7 @@ from leactl.emulation.trial import drives, lifetime, measuring, probing, supplie
 from leactl.emulation.trial.stand import Broken, Stand, example_of
 from leactl.errors import InputError, LeactlError
 
-WALL_S = 10.0  # of a trial, all of which wait by emulated time alone
+TRIAL_TIMEOUT_S = 10.0  # by the wall clock; a trial itself only waits by emulated time
 Trial = Callable[[Stand], None]
 
 
@@ -37,10 +37,10 @@ def try_driver(driver: type[Driver]) -> list[TrialResult]:
     ------
     InputError : the driver has no `example` of settings or no far end.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        return [
-            TrialResult(plain(trial), alone(trial, driver, Path(folder))) for trial in trials_of(driver, Path(folder))
-        ]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        trials = trials_of(driver, folder)
+        return [TrialResult(trial_name(trial), run_in_child(trial, driver, folder)) for trial in trials]
 
 
 def trials_of(driver: type[Driver], folder: Path) -> tuple[Trial, ...]:
@@ -55,32 +55,32 @@ def trials_of(driver: type[Driver], folder: Path) -> tuple[Trial, ...]:
     except ValueError as error:
         raise InputError(f"its `example` is no settings of one: {' '.join(str(error).split())}") from None
     stand = Stand(driver, folder)
-    outputs = lifetime.OF_OUTPUTS if isinstance(stand.driver, MotionDevice | PowerSupply) else ()
-    return (*_of_its_kind(stand), *lifetime.TRIALS, *outputs, *(probing.TRIALS if driver.probe is not None else ()))
+    outputs = lifetime.OUTPUT_TRIALS if isinstance(stand.driver, MotionDevice | PowerSupply) else ()
+    return (*_trials_of_kind(stand), *lifetime.TRIALS, *outputs, *(probing.TRIALS if driver.probe is not None else ()))
 
 
-def _of_its_kind(stand: Stand) -> tuple[Trial, ...]:
+def _trials_of_kind(stand: Stand) -> tuple[Trial, ...]:
     if isinstance(stand.driver, MotionDevice):
         return drives.TRIALS
     if isinstance(stand.driver, PowerSupply):
         return supplies.TRIALS
     if isinstance(stand.driver, BatchSource):
-        return measuring.RECORDS
-    return measuring.STREAMS
+        return measuring.RECORD_TRIALS
+    return measuring.STREAM_TRIALS
 
 
-def plain(trial: Trial) -> str:
+def trial_name(trial: Trial) -> str:
     """Name of a trial in words."""
     return trial.__name__.replace("_", " ")
 
 
-def alone(trial: Trial, driver: type[Driver], folder: Path) -> str:
+def run_in_child(trial: Trial, driver: type[Driver], folder: Path) -> str:
     """Run one trial in a separate process; returns its fault, or an empty text.
 
-    Where processes cannot be forked it runs in this one, and a trial that hangs has to be interrupted.
+    If processes cannot be forked, the trial runs in this one, and a trial that hangs has to be interrupted.
     """
     if not hasattr(os, "fork"):
-        return outcome(trial, driver, folder)
+        return run_in_this_process(trial, driver, folder)
     reads, writes = os.pipe()
     sys.stdout.flush()
     sys.stderr.flush()
@@ -88,12 +88,12 @@ def alone(trial: Trial, driver: type[Driver], folder: Path) -> str:
     if child == 0:
         code = 1
         with suppress(BaseException):  # whatever a driver does, this process ends here
-            os.write(writes, json.dumps(outcome(trial, driver, folder)).encode())
+            os.write(writes, json.dumps(run_in_this_process(trial, driver, folder)).encode())
             code = 0
         os._exit(code)
     os.close(writes)
     try:
-        return answer_of(reads)
+        return read_fault(reads)
     finally:
         os.close(reads)
         with suppress(ProcessLookupError):
@@ -101,20 +101,20 @@ def alone(trial: Trial, driver: type[Driver], folder: Path) -> str:
         os.waitpid(child, 0)
 
 
-def answer_of(reads: int) -> str:
-    """Read the result that a trial's process has sent, within its time."""
-    result, end = b"", time.monotonic() + WALL_S
+def read_fault(pipe: int) -> str:
+    """Read the fault that a trial's process sends through a pipe, within `TRIAL_TIMEOUT_S`."""
+    result, end = b"", time.monotonic() + TRIAL_TIMEOUT_S
     while time_left := max(end - time.monotonic(), 0.0):
-        if not select.select([reads], [], [], time_left)[0]:
+        if not select.select([pipe], [], [], time_left)[0]:
             break
-        received = os.read(reads, 65536)
+        received = os.read(pipe, 65536)
         if not received:
-            return str(json.loads(result)) if result else "it has taken the process with it"
+            return str(json.loads(result)) if result else "it has ended the process of the trial"
         result += received
-    return f"it hangs: more than {WALL_S:g} s where no time passes but on the bench's clock"
+    return f"it hangs: no end within {TRIAL_TIMEOUT_S:g} s, although only the bench's clock passes"
 
 
-def outcome(trial: Trial, driver: type[Driver], folder: Path) -> str:
+def run_in_this_process(trial: Trial, driver: type[Driver], folder: Path) -> str:
     """Run one trial in this process; returns its fault, or an empty text."""
     try:
         trial(Stand(driver, Path(tempfile.mkdtemp(dir=folder))))

@@ -17,8 +17,8 @@ from leactl.emulation.trial.known_bench import KnownBench, KnownMachine
 from leactl.emulation.wires.buses import CanWire, EmulatedCanBus, EmulatedI2cBus
 from leactl.emulation.wires.serial import EmulatedSerialLine, SerialWire
 
-BITS = 11  # of a byte on a serial line with two stop bits
-PERIOD_S, ANSWER_S = 0.01, 0.006
+BITS_PER_BYTE = 11  # on a serial line with two stop bits
+PERIOD_S, ANSWER_S = 0.01, 0.006  # of a cycle, and from its start to the deadline for the drive's answers
 ROLE = "test"
 
 
@@ -49,7 +49,7 @@ class Stand:
             self._connect = lambda: bus
             self._make_port = lambda: I2cPort(self._connect)
         elif driver.transport == "serial":
-            line = self._wire = SerialWire(self.clock, BITS / driver.baudrate)
+            line = self._wire = SerialWire(self.clock, BITS_PER_BYTE / driver.baudrate)
             line.device = far_end
             self._connect = lambda: EmulatedSerialLine(line)
             self._make_port = lambda: SerialPort(self._connect, self.clock)
@@ -60,7 +60,7 @@ class Stand:
         self.renew_driver()
 
     def renew_driver(self) -> None:
-        """Replace the driver by that of another host; the device is not told."""
+        """Replace the driver by that of another host; the device keeps its state."""
         self._port = self._make_port()
         self.driver = self._kind("tried", ROLE, self.settings, self._port, self.clock)
 
@@ -92,7 +92,7 @@ class Stand:
         elif self._wire is not None:
             self._wire.cut = True
 
-    def scanned(self) -> WireReport:
+    def scan(self) -> WireReport:
         """Scan the wire by the driver's probe alone, and return the report; the driver stays closed."""
         report, probe, watcher = WireReport("tried"), self.driver.probe, Watcher(lambda _text: None, lambda: None)
         if isinstance(probe, CanProbe):

@@ -5,17 +5,18 @@ from contextlib import suppress
 
 from leactl.driver.contract import PowerSupply, ProtectedSupply
 from leactl.driver.far_end import FailingSupply
-from leactl.emulation.trial.drives import confirmed
+from leactl.emulation.trial.drives import call_safe_state
 from leactl.emulation.trial.known_bench import LOAD_OHM
 from leactl.emulation.trial.stand import Broken, Stand
 from leactl.errors import DeviceError, InputError
 
-ASKED_V, ASKED_A = 3.0, 2.0  # of which the load takes 2 A at 1.2 V
-LIMITED = ((ASKED_V, ASKED_A), (1.2, 3.0))  # by its current, and by its voltage: the load takes 2 A at 1.2 V
-PROTECTED_V, BEYOND = 1.5, 2.0  # level of a protection; factor by which a failing supply exceeds its set level
-SWITCHED_S = 5.0
-NEAR = 0.02
-LOOKS_S = 0.01
+# V and A; with either pair the load takes 2 A at 1.2 V: the first is limited by the current, the second by the voltage
+CURRENT_LIMITED, VOLTAGE_LIMITED = (3.0, 2.0), (1.2, 3.0)
+PROTECTION_V = 1.5  # level of the protection
+OVERSHOOT_FACTOR = 2.0  # of a failing supply over its set levels
+SWITCH_S = 5.0  # time for an output to switch
+VALUE_TOLERANCE, ABSOLUTE_TOLERANCE = 0.02, 0.05  # largest error of a level: a share of it; of a reading, plus V or A
+POLL_S = 0.01  # time between two calls of `take`
 
 
 def supply_of(stand: Stand) -> PowerSupply:
@@ -30,15 +31,15 @@ def listen(stand: Stand, seconds: float) -> list[float]:
     while stand.clock.now() < end:
         for row in stand.driver.take():
             newest = list(getattr(row, "values", ()))
-        stand.wait(LOOKS_S)
+        stand.wait(POLL_S)
     return newest
 
 
-def switched_on(stand: Stand) -> None:
+def open_and_switch_on(stand: Stand) -> None:
     """Open the supply and switch its output on."""
     stand.driver.open()
     listen(stand, 0.2)
-    switch_on(stand, ASKED_V, ASKED_A)
+    switch_on(stand, *CURRENT_LIMITED)
 
 
 def switch_on(stand: Stand, volts: float, amperes: float) -> None:
@@ -46,22 +47,22 @@ def switch_on(stand: Stand, volts: float, amperes: float) -> None:
     supply = supply_of(stand)
     supply.supply(volts, amperes)
     supply.switch_on()
-    end = stand.clock.now() + SWITCHED_S
+    end = stand.clock.now() + SWITCH_S
     while not supply.supplying:
         if stand.clock.now() >= end:
-            raise Broken(f"supplying is false {SWITCHED_S:g} s after switch_on()")
+            raise Broken(f"supplying is false {SWITCH_S:g} s after switch_on()")
         listen(stand, 0.05)
 
 
-def gives_what_it_is_told(stand: Stand) -> None:
+def outputs_its_set_levels(stand: Stand) -> None:
     """The set voltage in V or current in A is at the terminals, and is measured correctly."""
     supply = supply_of(stand)
-    switched_on(stand)
-    for volts, amperes in LIMITED:
+    open_and_switch_on(stand)
+    for volts, amperes in (CURRENT_LIMITED, VOLTAGE_LIMITED):
         supply.supply(volts, amperes)
         newest = listen(stand, 2.0)
-        flowing = min(amperes, volts / LOAD_OHM)
-        compare(stand, newest, (flowing * LOAD_OHM, flowing))
+        load_current = min(amperes, volts / LOAD_OHM)
+        compare(stand, newest, (load_current * LOAD_OHM, load_current))
         if not supply.supplying:
             raise Broken("supplying is false while the output is on")
 
@@ -69,48 +70,50 @@ def gives_what_it_is_told(stand: Stand) -> None:
 def compare(stand: Stand, newest: list[float], expected: tuple[float, float]) -> None:
     """Raise Broken if the output differs from `expected` (V, A), or the readings from the output."""
     volts, amperes = stand.bench.load.fed
-    if abs(volts - expected[0]) > NEAR * expected[0] or abs(amperes - expected[1]) > NEAR * expected[1]:
+    if any(
+        abs(actual - level) > VALUE_TOLERANCE * level for actual, level in zip((volts, amperes), expected, strict=True)
+    ):
         raise Broken(
             f"{volts:.4g} V and {amperes:.4g} A at the terminals; {expected[0]:g} V and {expected[1]:g} A were expected"
         )
     for channel, value in zip(stand.driver.streams[0].channels, newest, strict=False):
         true = {"voltage": volts, "current": amperes}.get(channel.quantity.removeprefix("line_").removeprefix("bus_"))
-        if true is not None and not abs(value - true) <= NEAR * true + 0.05:
+        if true is not None and not abs(value - true) <= VALUE_TOLERANCE * true + ABSOLUTE_TOLERANCE:
             raise Broken(f"{channel.quantity} reads {value:.4g} where {true:.4g} is true")
 
 
-def protects_what_it_feeds(stand: Stand) -> None:
+def keeps_below_its_protection(stand: Stand) -> None:
     """A voltage above the level of `protect` is refused; if the supply's own regulation fails, the output trips."""
     supply = supply_of(stand)
     if not isinstance(supply, ProtectedSupply):
         return
     stand.driver.open()
     listen(stand, 0.2)
-    supply.protect(PROTECTED_V)
-    highest = PROTECTED_V * (1.0 + supply.trip_accuracy.share) + supply.trip_accuracy.beside
-    switch_on(stand, *LIMITED[1])
+    supply.protect(PROTECTION_V)
+    highest = PROTECTION_V * (1.0 + supply.trip_accuracy.share) + supply.trip_accuracy.beside
+    switch_on(stand, *VOLTAGE_LIMITED)
     with suppress(InputError):
         supply.supply(1.5 * highest, min(supply.most[1], 2.0 * highest / LOAD_OHM))
-        not_above(stand, highest, "as asked for,")
+        check_voltage(stand, highest, "as asked for,")
     if isinstance(stand.far_end, FailingSupply):
-        supply.supply(0.9 * PROTECTED_V, 3.0)
+        supply.supply(0.9 * PROTECTION_V, 3.0)
         listen(stand, 1.0)
-        stand.far_end.lose_regulation(BEYOND)
-        not_above(stand, highest, "by a failure,")
+        stand.far_end.lose_regulation(OVERSHOOT_FACTOR)
+        check_voltage(stand, highest, "by a failure,")
 
 
-def not_above(stand: Stand, highest: float, how: str) -> None:
+def check_voltage(stand: Stand, highest: float, how: str) -> None:
     """Raise Broken if more than this voltage [V] remains at the terminals."""
     with suppress(DeviceError):  # a protection that trips is a fault
         listen(stand, 1.0)
     volts = stand.bench.load.fed[0]
     if volts > highest:
         raise Broken(
-            f"{volts:.4g} V stay at the terminals, {how} after protect({PROTECTED_V:g}); no output was expected"
+            f"{volts:.4g} V stay at the terminals, {how} after protect({PROTECTION_V:g}); no output was expected"
         )
 
 
-def is_off_when_met(stand: Stand) -> None:
+def is_off_until_switched_on(stand: Stand) -> None:
     """The output is off until it is switched on, and `supplying` is false."""
     stand.driver.open()
     listen(stand, 1.0)
@@ -121,16 +124,16 @@ def is_off_when_met(stand: Stand) -> None:
 def switches_off(stand: Stand) -> None:
     """`switch_off` switches the output off, and `supplying` becomes false once the instrument reports it."""
     supply = supply_of(stand)
-    switched_on(stand)
+    open_and_switch_on(stand)
     supply.switch_off()
-    listen(stand, SWITCHED_S)
+    listen(stand, SWITCH_S)
     if stand.bench.load.fed[1] > 0.0:
-        raise Broken(f"{stand.bench.load.fed[1]:.4g} A still flow {SWITCHED_S:g} s after switch_off()")
+        raise Broken(f"{stand.bench.load.fed[1]:.4g} A still flow {SWITCH_S:g} s after switch_off()")
     if supply.supplying:
-        raise Broken(f"supplying is true {SWITCHED_S:g} s after switch_off()")
+        raise Broken(f"supplying is true {SWITCH_S:g} s after switch_off()")
 
 
-def refuses_what_it_cannot_give(stand: Stand) -> None:
+def refuses_levels_out_of_range(stand: Stand) -> None:
     """A setting that is not finite, negative or above `most` is refused."""
     supply = supply_of(stand)
     stand.driver.open()
@@ -150,51 +153,51 @@ def refuses_what_it_cannot_give(stand: Stand) -> None:
         raise Broken(f"supply{limits} is taken; InputError was expected")
 
 
-def is_off_when_it_says_so(stand: Stand) -> None:
+def is_off_when_confirmed_safe(stand: Stand) -> None:
     """`safe_state` switches the output off, before `open` too, and when it is called again."""
     for when in ("before open()", "in operation", "the second time"):
         if when == "in operation":
-            switched_on(stand)
-        if not confirmed(stand):
+            open_and_switch_on(stand)
+        if not call_safe_state(stand):
             raise Broken(f"safe_state {when} is not confirmed although the supply answers")
         if stand.bench.load.fed[1] > 0.0:
             raise Broken(f"safe_state {when} is confirmed while {stand.bench.load.fed[1]:.4g} A flow")
 
 
-def confirms_nothing_that_is_not_so(stand: Stand) -> None:
+def never_confirms_an_output_that_is_on(stand: Stand) -> None:
     """An output that is stuck on, or behind an unplugged cable, is not confirmed to be off."""
-    switched_on(stand)
+    open_and_switch_on(stand)
     if isinstance(stand.far_end, FailingSupply):
         stand.far_end.stuck_on()
     else:
         stand.cut()
-    if confirmed(stand) and stand.bench.load.fed[1] > 0.0:
+    if call_safe_state(stand) and stand.bench.load.fed[1] > 0.0:
         raise Broken(f"safe_state is confirmed while {stand.bench.load.fed[1]:.4g} A flow")
 
 
-def confirms_nothing_over_a_cut_cable(stand: Stand) -> None:
+def never_confirms_over_a_cut_cable(stand: Stand) -> None:
     """`safe_state` is not confirmed if the cable is unplugged."""
-    switched_on(stand)
+    open_and_switch_on(stand)
     stand.cut()
-    if confirmed(stand) and stand.bench.load.fed[1] > 0.0:
-        raise Broken("safe_state is confirmed over a cable that is out")
+    if call_safe_state(stand) and stand.bench.load.fed[1] > 0.0:
+        raise Broken("safe_state is confirmed although the cable is unplugged")
 
 
-def is_cut_at_once(stand: Stand) -> None:
+def is_cut_by_stop_now(stand: Stand) -> None:
     """`stop_now` sends the command that switches the output off, and does not wait."""
-    switched_on(stand)
+    open_and_switch_on(stand)
     began = stand.clock.now()
     stand.driver.stop_now()
     if stand.clock.now() > began:
-        raise Broken(f"stop_now waits for {stand.clock.now() - began:.3f} s; nothing is waited for there")
+        raise Broken(f"stop_now waits for {stand.clock.now() - began:.3f} s; it must not wait")
     stand.wait(1.0)
     if stand.bench.load.fed[1] > 0.0:
         raise Broken(f"{stand.bench.load.fed[1]:.4g} A still flow a second after stop_now()")
 
 
-def tells_silence(stand: Stand) -> None:
+def reports_disconnection(stand: Stand) -> None:
     """The driver reports within three seconds that a supply has stopped answering, or gives no more readings."""
-    switched_on(stand)
+    open_and_switch_on(stand)
     stand.cut()
     end, came = stand.clock.now() + 3.0, 0
     with suppress(DeviceError):
@@ -202,20 +205,20 @@ def tells_silence(stand: Stand) -> None:
             rows = list(stand.driver.take())
             if stand.clock.now() > end - 1.0:
                 came += sum(1 for row in rows if not all(math.isnan(value) for value in getattr(row, "values", ())))
-            stand.wait(LOOKS_S)
+            stand.wait(POLL_S)
         if came:
-            raise Broken(f"{came} readings have come in the last second of three over a cable that is out")
+            raise Broken(f"{came} readings have come in the last second of three although the cable is unplugged")
 
 
 TRIALS = (
-    is_off_when_met,
-    gives_what_it_is_told,
-    protects_what_it_feeds,
+    is_off_until_switched_on,
+    outputs_its_set_levels,
+    keeps_below_its_protection,
     switches_off,
-    refuses_what_it_cannot_give,
-    is_off_when_it_says_so,
-    confirms_nothing_that_is_not_so,
-    confirms_nothing_over_a_cut_cable,
-    is_cut_at_once,
-    tells_silence,
+    refuses_levels_out_of_range,
+    is_off_when_confirmed_safe,
+    never_confirms_an_output_that_is_on,
+    never_confirms_over_a_cut_cable,
+    is_cut_by_stop_now,
+    reports_disconnection,
 )
