@@ -15,6 +15,7 @@ from leactl_plugins.elmo_can.commissioning import Commissioning
 from leactl_plugins.elmo_can.driver import ElmoCan
 from leactl_plugins.elmo_can.probe import ElmoProbe
 from leactl_plugins.elmo_recorder_csv.driver import ElmoRecorderCsv
+from leactl_plugins.ni_daq.driver import NiDaq
 from leactl_plugins.scpi_supply.driver import ScpiSupply
 
 from leactl.driver import conformance, registry
@@ -484,6 +485,33 @@ def faults_of(driver):
 def test_a_planted_defect_is_found_and_named(driver, trial, said):
     faults = faults_of(driver)
     assert any(name.startswith(trial) and said in fault for name, fault in faults), faults
+
+
+def test_a_device_without_a_bus_has_no_cable_to_unplug():
+    assert "reports disconnection" not in [tried.name for tried in try_driver(NiDaq)]
+    assert "reports disconnection" in [tried.name for tried in try_driver(Ads1115)]
+
+
+class ReadsAFlag(Ads1115):
+    """Measures whether the drive is on."""
+
+    example: ClassVar = {"inputs": [{**Ads1115.example["inputs"][0], "quantity": "drive_enabled"}]}
+
+
+def test_a_flag_that_is_only_read_while_it_switches_is_told(monkeypatch, tmp_path):
+    whole = measuring.take_samples
+
+    def around_the_switch(stand, *arguments):
+        samples, moments = whole(stand, *arguments)
+        switch = stand.bench.rises_from + 0.5 * stand.bench.rises_for
+        near = {name: (t > switch - 0.09) & (t < switch) for name, (t, _) in samples.items()}
+        if stand.bench.rises_from:
+            samples = {name: (t[near[name]], values[near[name]]) for name, (t, values) in samples.items()}
+        return samples, moments
+
+    monkeypatch.setattr(measuring, "take_samples", around_the_switch)
+    fault = run_in_this_process(measuring.measures_true_values, ReadsAFlag, tmp_path)
+    assert fault == "torque: all samples come less than 0.1 s before the flag switches"
 
 
 def test_a_display_s_steps_are_allowed_for_and_readings_that_are_kept_are_not():

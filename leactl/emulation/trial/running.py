@@ -66,7 +66,8 @@ def _trials_of_kind(stand: Stand) -> tuple[Trial, ...]:
         return supplies.TRIALS
     if isinstance(stand.driver, BatchSource):
         return measuring.RECORD_TRIALS
-    return measuring.STREAM_TRIALS
+    cable_trials = () if stand.driver.transport == "none" else measuring.CABLE_TRIALS
+    return (*measuring.STREAM_TRIALS, *cable_trials)
 
 
 def trial_name(trial: Trial) -> str:
