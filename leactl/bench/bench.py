@@ -25,7 +25,7 @@ class Bench:
 
     def __init__(self, file: BenchFile, devices: Sequence[CheckedDevice], wiring: Wiring) -> None:
         self.file, self.clock, self.wait_for_disk = file, wiring.clock, wiring.wait_for_disk
-        self.hang = wiring.hang
+        self.apply_weight_torque = wiring.apply_weight_torque
         ports: dict[str, Any] = {name: _port(name, bus, wiring) for name, bus in file.buses.items()}
         self.drivers: dict[str, Driver] = {}
         self.drives: dict[str, Driver] = {}
@@ -34,7 +34,7 @@ class Bench:
         self.syncs: dict[str, Callable[[], None]] = {}  # CANopen's SYNC, by bus
         for device in devices:
             entry = device.entry
-            port = ports[entry.bus] if entry.bus else wiring.library(device.name)
+            port = ports[entry.bus] if entry.bus else wiring.emulator_of(device.name)
             driver = registry.load(entry.driver)(device.name, entry.role, device.settings, port, self.clock)
             self.drivers[device.name] = driver
             if isinstance(driver, MotionDevice):

@@ -23,7 +23,7 @@ from leactl.safety.limits import Limits
 from leactl.yamlblock import Block
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
-Fraction = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 SHIPPED = Path(__file__).parent / "files"
 
 
@@ -151,12 +151,12 @@ class Emulated(Block):
     conditions: dict[str, dict[str, Any]] = {}  # label: parameters of both actuators, which override `test` and `load`
     effects: list[dict[str, Any]] = []
     faults: list[dict[str, Any]] = []  # what goes wrong and when (leactl.emulation.faults)
-    current_noise_A: Fraction = 0.015  # noqa: N815 (a unit keeps its letter)
-    torque_noise_Nm: Fraction = 0.004  # noqa: N815
-    velocity_noise_rad_s: Fraction = 0.002
-    terminal_noise_V: Fraction = 0.005  # noqa: N815 (between two leads, as a converter there picks it up)
+    current_noise_A: NonNegative = 0.015  # noqa: N815 (a unit keeps its letter)
+    torque_noise_Nm: NonNegative = 0.004  # noqa: N815
+    velocity_noise_rad_s: NonNegative = 0.002
+    terminal_noise_V: NonNegative = 0.005  # noqa: N815 (between two leads, as a converter there picks it up)
     back_emf_harmonics: tuple[Harmonic, ...] = ()  # of each actuator
-    temperature_noise_K: Fraction = 0.05  # noqa: N815
+    temperature_noise_K: NonNegative = 0.05  # noqa: N815
     temperature_offset_K: Annotated[float, Field(strict=True, ge=-20, le=20)] = 0.0  # noqa: N815 (of every sensor's zero point)
     # reading over true value, of the rise above ambient
     temperature_gain: Annotated[float, Field(strict=True, ge=0.5, le=2)] = 1.0

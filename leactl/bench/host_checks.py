@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from leactl.driver import registry
-from leactl.driver.can_port import LOOK_AT
+from leactl.driver.can_port import CHECK_BUS_HINT
 
 LEAST_PYTHON = (3, 11)
 LEAST_FREE_BYTES = 2 << 30  # for some 100 h at 50 Hz, or 3 h at 1 kHz
 CAN_TYPE = "280"  # ARPHRD_CAN in /sys/class/net/*/type
-IP_S = 5.0  # longest time for an answer of iproute2
-FEWEST_QUEUED = 100  # frames; a cycle of two drives at 1 kHz queues seven, and Linux gives an interface room for ten
-RESTART_MS = 100  # after which a controller that has left the bus comes back, so that drives can be told to stop
+LONGEST_IP_S = 5.0  # time for an answer of iproute2
+LEAST_QUEUE = 100  # frames; a cycle of two drives at 1 kHz queues seven, and Linux gives an interface room for ten
+RESTART_MS = 100  # time until a controller that has left the bus returns, so that drives can be commanded to stop
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ def ip_link(interface: str) -> Mapping[str, Any]:
     """Return the JSON object of iproute2 for a network interface; empty if there is no answer."""
     command = ["ip", "-json", "-details", "-statistics", "link", "show", interface]
     try:
-        answer = subprocess.run(command, capture_output=True, timeout=IP_S, check=True)
+        answer = subprocess.run(command, capture_output=True, timeout=LONGEST_IP_S, check=True)
         [link] = json.loads(answer.stdout)
     except (OSError, subprocess.SubprocessError, ValueError):
         return {}
@@ -89,7 +89,7 @@ def is_up(state: str) -> bool:
     return state in ("up", "unknown")
 
 
-def bring_up(interface: str, bitrate: int | None = None) -> str:
+def bring_up_command(interface: str, bitrate: int | None = None) -> str:
     """Return the command that brings a CAN interface up, at 1 Mbit/s if it has no bit rate yet."""
     return f"sudo ip link set {interface} up type can bitrate {bitrate or 1_000_000}"
 
@@ -98,7 +98,7 @@ def _can(root: Path, link_of: Callable[[str], Mapping[str, Any]]) -> Iterator[Ho
     interfaces = can_interfaces(root)
     if not interfaces:
         yield HostFinding(
-            "CAN", False, False, "no SocketCAN interface", f"connect an adapter, then: {bring_up('can0')}"
+            "CAN", False, False, "no SocketCAN interface", f"connect an adapter, then: {bring_up_command('can0')}"
         )
     for name, state in interfaces.items():
         yield _can_link(name, state, link_of(name))
@@ -121,12 +121,13 @@ def _can_link(name: str, state: str, link: Mapping[str, Any]) -> HostFinding:
     ]
     fine = is_up(state) and controller not in ("BUS-OFF", "ERROR-PASSIVE")
     if controller == "BUS-OFF":
-        mend = f"{LOOK_AT}; then: sudo ip link set {name} down && {bring_up(name, bitrate)} restart-ms {RESTART_MS}"
+        up = f"{bring_up_command(name, bitrate)} restart-ms {RESTART_MS}"
+        mend = f"{CHECK_BUS_HINT}; then: sudo ip link set {name} down && {up}"
     elif not is_up(state):
-        mend = bring_up(name, bitrate)
+        mend = bring_up_command(name, bitrate)
     elif not fine:
-        mend = LOOK_AT
-    elif queue is not None and queue < FEWEST_QUEUED:
+        mend = CHECK_BUS_HINT
+    elif queue is not None and queue < LEAST_QUEUE:
         mend = f"room for more frames: sudo ip link set {name} txqueuelen 1000"
     else:
         mend = ""

@@ -1,6 +1,8 @@
 """Use the raw socket of an instrument on the network (SCPI-RAW, mostly port 5025 or 5555) like a serial line.
 
-The socket module is used and not pyvisa-py, whose sockets do not keep the contract of a line (decision 20).
+The socket module is used and not pyvisa-py, whose sockets break all four promises of a `SerialLine`: no wait without a
+timeout, no lost byte, an error once the connection is gone, and no delivery after `close`
+(docs/decisions/0020-raw-sockets-without-a-visa-library.md).
 """
 
 import errno
@@ -12,8 +14,8 @@ CONNECT_S = 0.3  # a third of the time for a safe state; on a local network a co
 # Bytes that are not acknowledged within this time are dropped: a command to switch on must not reach the supply when
 # the cable is plugged in again minutes later.
 UNACKNOWLEDGED_MS = 1000  # the kernel checks it when it would next repeat the bytes: after 1.4 s
-MOST_BYTES = 4096
-MEANING = {
+MOST_BYTES = 4096  # of one read
+MEANINGS = {
     errno.ECONNREFUSED: "the connection is refused; is the port right, and does another program hold it?",
     errno.EHOSTUNREACH: "it cannot be reached; is it switched on, and on this network?",
     errno.ENETUNREACH: "there is no network to it from here",
@@ -24,6 +26,7 @@ class InstrumentSocket:
     """An open connection whose methods never wait longer than their timeout."""
 
     def __init__(self, host: str, port: int) -> None:
+        self._address = f"{host} port {port}"
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         options = (
             # send each command at once, without a wait for the acknowledgement of the command before
@@ -41,8 +44,8 @@ class InstrumentSocket:
         except OSError as error:
             self._socket.close()
             text = f"no answer within {CONNECT_S:g} s; is it switched on, and on this network?"
-            meaning = text if isinstance(error, TimeoutError) else MEANING.get(error.errno or 0, error)
-            raise OSError(f"{host} port {port}: {meaning}") from None
+            meaning = text if isinstance(error, TimeoutError) else MEANINGS.get(error.errno or 0, error)
+            raise OSError(f"{self._address}: {meaning}") from None
 
     def read(self, timeout: float) -> bytes:
         """Return the bytes that have arrived, after a wait of at most `timeout` [s] for the first of them.
@@ -59,7 +62,7 @@ class InstrumentSocket:
         except BlockingIOError:
             return b""
         if not data:
-            raise OSError("it has closed the connection")
+            raise OSError(f"{self._address} has closed the connection; end any other program that uses it")
         return data
 
     def write(self, data: bytes) -> int:

@@ -27,7 +27,7 @@ class Provenance:
         texts = {name: " ".join(printable(text).split())[:LONGEST_LINE] for name, text in identity._asdict().items()}
         self._identity = {name: text for name, text in texts.items() if text}
         serial, expected = texts["serial"], self._entry.serial
-        if serial and expected and _bare(serial) != _bare(expected):
+        if serial and expected and _normalised(serial) != _normalised(expected):
             raise DeviceError(
                 f"serial number {serial} answers, the bench file says {expected}: mend the wiring, or the file"
             )
@@ -50,7 +50,7 @@ class Provenance:
         return f"firmware {firmware} answers, the bench file says {expected}" if differs else ""
 
 
-def _bare(serial: str) -> str:
+def _normalised(serial: str) -> str:
     """Return a serial number without differences of spelling: case, blanks, leading zeros, 0x."""
     return "".join(serial.split()).casefold().removeprefix("0x").lstrip("0")
 

@@ -26,13 +26,14 @@ if TYPE_CHECKING:
     from leactl.driver.contract import Driver
 
 LISTEN_S = 1.2  # most devices are shipped with a heartbeat of one second or less
-PROBE_S = 20.0  # longest time of one probe on one bus, or at one rate of a line
-FLOOD_HZ = 3000  # frames on a bus without a host, above which nothing is sent in addition
-UNASKED_S, FLOOD_BYTES = 0.1, 64  # time and bytes of listening to a line before a probe asks
-KEPT_FRAMES, KEPT_IDENTIFIERS = 8, 4096
-SHOWN_BYTES = 24
-ONE_RATE = "is a device switched on, have all devices and the interface one bit rate, is the bus terminated?"
-MOST_OF_A_KIND = 200  # sightings of one probe, and notes on one wire
+LONGEST_PROBE_S = 20.0  # of one probe on one bus, or at one rate of a line
+MOST_FRAMES_HZ = 3000  # rate of frames on a bus without a host from which on nothing is sent in addition
+LINE_LISTEN_S = 0.1  # time of listening to a line before a probe asks
+MOST_UNASKED_BYTES = 64  # in that time; if more come, no probe asks
+MOST_FRAMES, MOST_IDENTIFIERS = 8, 4096  # stored frames of each identifier, and stored identifiers
+SHOWN_BYTES = 24  # first bytes of a line that a note quotes
+BIT_RATE_HINT = "is a device switched on, have all devices and the interface one bit rate, is the bus terminated?"
+MOST_ANSWERS = 200  # sightings of one probe, and notes on one wire
 
 
 class Watcher(NamedTuple):
@@ -47,7 +48,7 @@ class Answered(NamedTuple):
 
     driver: str
     sighting: Sighting
-    line: LineBus | None = None  # as it was open, for a device on one
+    line: LineBus | None = None  # serial line or socket on which the device answered; None for a device on another bus
 
 
 @dataclass
@@ -57,19 +58,19 @@ class WireReport:
     name: str
     answered: list[Answered] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)  # a line each
-    fault: str = ""  # why it could not be scanned, or not completely
+    fault: str = ""  # why the wire could not be scanned, or not completely
     asked: bool = False  # whether anything was sent
     heard: bool = False  # whether a note is on data that came over the wire, not on a probe that failed
     complete: bool = False  # whether the scan came to its end
 
     def note(self, text: str) -> None:
         """Add a line, unless it is there already or there are too many."""
-        if text not in self.notes and len(self.notes) < MOST_OF_A_KIND:
+        if text not in self.notes and len(self.notes) < MOST_ANSWERS:
             self.notes.append(text)
 
 
 class ProbeOverrun(DeviceError):
-    """A probe took longer than `PROBE_S`, or sent what a scan refuses."""
+    """A probe took longer than `LONGEST_PROBE_S`, or sent what a scan refuses."""
 
 
 class _Allowance:
@@ -80,13 +81,13 @@ class _Allowance:
 
     def begin(self) -> None:
         """Begin the time of another probe."""
-        self._until = self._clock.now() + PROBE_S
+        self._until = self._clock.now() + LONGEST_PROBE_S
 
     def check(self) -> None:
         """Raise ProbeOverrun if the time is over, or Stopped if a person has ended the scan."""
         self._watcher.check()
         if self._clock.now() > self._until:
-            raise ProbeOverrun(f"takes more than {PROBE_S:g} s")
+            raise ProbeOverrun(f"takes more than {LONGEST_PROBE_S:g} s")
 
 
 def can_probes() -> dict[str, CanProbe]:
@@ -123,7 +124,7 @@ def settings_left_open(driver: "type[Driver]", sighting: Sighting) -> list[str]:
 # -- CAN -------------------------------------------------------------------------------------------------------------
 
 
-class _Heard:
+class _HeardFrames:
     """Frames of other participants: the last ones of each identifier."""
 
     def __init__(self) -> None:
@@ -157,8 +158,8 @@ class _Heard:
             return
         self.of_29_bits += frame.identifier > LAST_OF_11_BITS and not message.is_fd
         stored = self._frames.get(frame.identifier)
-        if stored is None and len(self._frames) < KEPT_IDENTIFIERS:
-            stored = self._frames[frame.identifier] = deque(maxlen=KEPT_FRAMES)
+        if stored is None and len(self._frames) < MOST_IDENTIFIERS:
+            stored = self._frames[frame.identifier] = deque(maxlen=MOST_FRAMES)
         if stored is not None:
             stored.append(frame)
 
@@ -166,12 +167,12 @@ class _Heard:
 class _WatchedBus:
     """A connection that stores received frames, and refuses to send identifiers of other protocols' devices."""
 
-    def __init__(self, bus: "can.BusABC", heard: _Heard, allowance: _Allowance) -> None:
+    def __init__(self, bus: "can.BusABC", heard: _HeardFrames, allowance: _Allowance) -> None:
         self._bus, self._heard, self._allowance = bus, heard, allowance
         self.taken: Collection[int] = ()
 
     def recv(self, timeout: float | None = None) -> "can.Message | None":
-        """Take a frame and note it."""
+        """Receive a frame and store it."""
         self._allowance.check()
         message = self._bus.recv(timeout)
         if message is not None:
@@ -222,12 +223,13 @@ class _CanScan:
         watcher: Watcher,
     ) -> None:
         self._report, self._connect, self._clock, self._probes = report, connect, clock, probes
-        self._show, self._heard, self._allowance = watcher.show, _Heard(), _Allowance(clock, watcher)
-        self._port = CanPort(self._watched, clock, report.name)  # type: ignore[arg-type]  # it has what a port calls of a bus
+        self._show, self._heard, self._allowance = watcher.show, _HeardFrames(), _Allowance(clock, watcher)
+        # the watched bus has the methods of a bus that a port calls
+        self._port = CanPort(self._connect_watched, clock, report.name)  # type: ignore[arg-type]
         self._addresses: dict[str, frozenset[int]] = {}  # heard while listening, by driver
-        self._met: dict[str, set[int]] = {}  # heard while listening, or answered, by driver
+        self._known_nodes: dict[str, set[int]] = {}  # heard while listening, or answered, by driver
 
-    def _watched(self) -> _WatchedBus:
+    def _connect_watched(self) -> _WatchedBus:
         self._bus = _WatchedBus(self._connect(), self._heard, self._allowance)
         return self._bus
 
@@ -240,28 +242,29 @@ class _CanScan:
             port.pump_until((False,), self._clock.now() + LISTEN_S)
             frames = self._heard.frames
             self._addresses = {name: frozenset(probe.heard(frames)) for name, probe in self._probes.items()}
-            self._met = {name: set(nodes) for name, nodes in self._addresses.items()}
+            self._known_nodes = {name: set(nodes) for name, nodes in self._addresses.items()}
             if self._heard.of_29_bits:
                 report.note("frames with identifiers of 29 bits come, of a protocol that no driver here speaks")
             if reason := self._reason_to_listen():
                 self._only_listen(reason)
                 return
-            for name in sorted(self._probes, key=self._turn):
-                if name not in self._unasked(fd):
+            for name in sorted(self._probes, key=self._order):
+                if name not in self._exclude_fd_probes(fd):
                     self._ask(name)
                 if reason := self._other_host():
                     self._only_listen(reason)
                     return
             if self._heard.errors:
-                report.note(f"{self._heard.errors} error frames came while it was asked; {ONE_RATE}")
+                report.note(f"{self._heard.errors} error frames came while it was asked; {BIT_RATE_HINT}")
         except DeviceError:
             if port.full.count:
-                raise DeviceError(f"bus '{report.name}': no frame is acknowledged; {ONE_RATE}") from None
+                raise DeviceError(f"bus '{report.name}': no frame is acknowledged; {BIT_RATE_HINT}") from None
             raise
         finally:
             port.close()
 
-    def _turn(self, name: str) -> tuple[bool, bool, str]:
+    def _order(self, name: str) -> tuple[bool, bool, str]:
+        """Return the sort key of a probe: those that search first, those that use CAN-FD frames last."""
         probe = self._probes[name]
         return probe.fd, not probe.searches, name
 
@@ -269,25 +272,27 @@ class _CanScan:
         """Return why nothing may be sent, by the received frames; empty if it may."""
         heard, rate = self._heard, self._heard.count / LISTEN_S
         if heard.errors:
-            return f"{heard.errors} error frames came; {ONE_RATE}"
+            return f"{heard.errors} error frames came; {BIT_RATE_HINT}"
         if reason := self._other_host():
             return reason
-        return f"{rate:.0f} frames a second come without a host: a device babbles" if rate >= FLOOD_HZ else ""
+        return f"{rate:.0f} frames a second come without a host: a device babbles" if rate >= MOST_FRAMES_HZ else ""
 
     def _other_host(self) -> str:
+        """Return a line on another host of which a command was heard; empty if none was."""
         for probe in self._probes.values():
             if command := probe.host(self._heard.frames):
                 return f"another host is at work, {command} was heard; end it, then scan again"
         return ""
 
     def _only_listen(self, reason: str) -> None:
+        """Note why no more is sent, and which devices were heard and not asked."""
         self._report.note(f"only listened{' from then on' if self._report.asked else ''}: {reason}")
         for name, nodes in self._addresses.items():
-            unmet = nodes - {answer.sighting.address for answer in self._report.answered if answer.driver == name}
-            if unmet:
-                self._report.note(f"heard, and not asked: {name} at {', '.join(map(str, sorted(unmet)))}")
+            unanswered = nodes - {answer.sighting.address for answer in self._report.answered if answer.driver == name}
+            if unanswered:
+                self._report.note(f"heard, and not asked: {name} at {', '.join(map(str, sorted(unanswered)))}")
 
-    def _unasked(self, fd: bool) -> list[str]:
+    def _exclude_fd_probes(self, fd: bool) -> list[str]:
         """Return the drivers whose probes may not be used on this bus, and note them in the report."""
         unsuited = [name for name, probe in self._probes.items() if probe.fd]
         if fd and not (
@@ -304,7 +309,7 @@ class _CanScan:
         self._report.asked = True
         self._bus.taken = frozenset(
             identifier
-            for driver, nodes in self._met.items()
+            for driver, nodes in self._known_nodes.items()
             if driver != name
             for node in nodes
             for identifier in self._probes[driver].identifiers(node)
@@ -313,7 +318,7 @@ class _CanScan:
         for sighting in _sightings(self._report, name, ask, self._allowance):
             self._report.answered.append(Answered(name, sighting))
             if sighting.address is not None:
-                self._met[name].add(sighting.address)
+                self._known_nodes[name].add(sighting.address)
 
 
 def _sightings(report: WireReport, name: str, ask: Callable[[], Seen], allowance: _Allowance) -> Iterator[Sighting]:
@@ -326,8 +331,8 @@ def _sightings(report: WireReport, name: str, ask: Callable[[], Seen], allowance
     allowance.begin()
     try:
         for number, seen in enumerate(ask()):
-            if number >= MOST_OF_A_KIND:
-                report.note(f"the probe of {name} was ended: more than {MOST_OF_A_KIND} answers")
+            if number >= MOST_ANSWERS:
+                report.note(f"the probe of {name} was ended: more than {MOST_ANSWERS} answers")
                 return
             if isinstance(seen, str):
                 report.heard = True
@@ -431,10 +436,10 @@ def ask_line(
     DeviceError : the line is absent, each of the ports refuses, or the connection fails.
     Stopped : by the watcher.
     """
-    spoken: dict[str, bytes] = {}
+    first_bytes: dict[str, bytes] = {}  # by rate or port
     refused: list[str] = []
     for line in lines:
-        watcher.show(f"asks at {how(line)}")
+        watcher.show(f"asks at {rate_or_port(line)}")
         try:
             connection = connect(line)
         except (OSError, ValueError, ImportError) as error:
@@ -443,29 +448,29 @@ def ask_line(
                 break
             continue
         try:
-            spoken[how(line)] = _ask_over(report, connection, clock, probes, line, watcher)
+            first_bytes[rate_or_port(line)] = _ask_connection(report, connection, clock, probes, line, watcher)
         except OSError as error:
             raise DeviceError(f"{report.name}: the device is gone: {error}") from None
         finally:
             connection.close()
         if report.answered or report.heard:
             return
-    if not spoken:
+    if not first_bytes:
         raise DeviceError("; ".join(refused))
-    for rate, data in spoken.items():
+    for rate, data in first_bytes.items():
         if data:
             report.note(f"something answers at {rate} what no driver can read: {data!r}")
-    if not any(spoken.values()):
+    if not any(first_bytes.values()):
         rates = [str(line.baudrate) for line in lines if isinstance(line, SerialBus)]
-        report.note(f"silent at {', '.join(rates)} baud" if rates else f"silent at {' and '.join(spoken)}")
+        report.note(f"silent at {', '.join(rates)} baud" if rates else f"silent at {' and '.join(first_bytes)}")
 
 
-def how(line: LineBus) -> str:
+def rate_or_port(line: LineBus) -> str:
     """Return the rate of a serial line, or the port of a socket, as text."""
     return f"{line.baudrate} baud" if isinstance(line, SerialBus) else f"port {line.address[1]}"
 
 
-def _ask_over(
+def _ask_connection(
     report: WireReport,
     connection: SerialLine,
     clock: Clock,
@@ -476,12 +481,12 @@ def _ask_over(
     """Ask by each probe over one connection; return the first bytes received."""
     allowance = _Allowance(clock, watcher)
     watched = _WatchedLine(connection, allowance)
-    unasked, until = 0, clock.now() + UNASKED_S
-    while (seconds_left := until - clock.now()) > 0.0 and unasked < FLOOD_BYTES:
+    unasked, until = 0, clock.now() + LINE_LISTEN_S
+    while (seconds_left := until - clock.now()) > 0.0 and unasked < MOST_UNASKED_BYTES:
         unasked += len(watched.read(seconds_left))
-    if unasked >= FLOOD_BYTES:
+    if unasked >= MOST_UNASKED_BYTES:
         report.heard = True
-        report.note(f"only listened: bytes come without a question at {how(line)}, such as {watched.heard!r}")
+        report.note(f"only listened: bytes come without a question at {rate_or_port(line)}, such as {watched.heard!r}")
         return watched.heard
     for name, probe in sorted(probes.items()):
         if isinstance(line, SerialBus) and line.baudrate not in probe.baudrates:

@@ -12,8 +12,8 @@ from contextlib import suppress
 
 from leactl.bench.benchfile import SerialBus
 
-MOST_BYTES = 4096
-MEANING = {
+MOST_BYTES = 4096  # of one read
+MEANINGS = {
     errno.ENOENT: "no such device; is it plugged in and switched on?",
     errno.EACCES: "no permission; add the user to group dialout",
     errno.EAGAIN: "another program holds it",
@@ -40,7 +40,8 @@ class Tty:
             )
         except (OSError, ValueError, termios.error) as error:
             number = getattr(error, "errno", None)
-            raise OSError(f"{bus.port}: {MEANING.get(number or 0, error)}") from None
+            raise OSError(f"{bus.port}: {MEANINGS.get(number or 0, error)}") from None
+        self._port = bus.port
         self._descriptor = self._serial.fileno()
 
     def read(self, timeout: float) -> bytes:
@@ -58,7 +59,7 @@ class Tty:
         except BlockingIOError:
             return b""
         if not data:  # a device that was unplugged is always ready and has no bytes
-            raise OSError("nothing is at the other end")
+            raise OSError(f"nothing is at the other end of {self._port}; check its cable and plug it in again")
         return data
 
     def write(self, data: bytes) -> int:

@@ -18,13 +18,13 @@ from leactl.bench.wire_trace import (
     ENDED,
     FAILED,
     HEARD,
-    NOT_TAKEN,
+    NOT_ACCEPTED,
     SENT,
     TraceLine,
+    differs_from_trace,
     expect_calls,
     expect_can_frames,
     frame_text,
-    is_unlike,
     outcome_text,
     read_trace,
 )
@@ -49,7 +49,7 @@ class Difference(NamedTuple):
         return f"{self.owner}: {self.came} where the trace has {self.stands}"
 
 
-class Replayed(NamedTuple):
+class ReplayResult(NamedTuple):
     """Result of a replay."""
 
     calls: int  # calls that ended as in the trace
@@ -125,7 +125,7 @@ class Wire:
             return text  # the trace was cut short
         if line.kind == FAILED:
             raise OSError(line.text)
-        accepted, _, refused = line.text.partition(NOT_TAKEN)
+        accepted, _, refused = line.text.partition(NOT_ACCEPTED)
         if line.kind != SENT or accepted + refused != text:
             recorded = f"'{line.kind} {line.text}'"
             raise Diverged(Difference(line.number, self.name, recorded, f"'> {text}' was sent"))
@@ -214,14 +214,14 @@ class ReplayWiring:
         """Return a function that connects to a serial line of the trace."""
         return lambda: _LineSide(self._wires[name])
 
-    def library(self, device: str) -> Any:
-        """Raise InputError: calls of a library are not in a trace."""
+    def emulator_of(self, device: str) -> Any:
+        """Raise InputError: a trace holds no calls of a library."""
         raise InputError(f"{device} has no bus")
 
     def wait_for_disk(self) -> None:
         """Do nothing: a replay writes no run file."""
 
-    def hang(self, torque: float) -> None:
+    def apply_weight_torque(self, torque: float) -> None:
         """Do nothing: a replay has no weights."""
 
 
@@ -293,7 +293,7 @@ class _I2cSide:
         """Nothing is open."""
 
 
-def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Replayed:
+def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> ReplayResult:
     """Repeat the calls of a trace on the drivers of its bench; devices without a bus are left out.
 
     Each run of the trace has new drivers; an `open` after a `close` begins the next run.
@@ -328,15 +328,15 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
         try:
             outcome = outcome_text(call())
         except Diverged as divergence:
-            return Replayed(calls, wiring.transfers, divergence.difference, tuple(dict.fromkeys(raised)), cut_short)
+            return ReplayResult(calls, wiring.transfers, divergence.difference, tuple(dict.fromkeys(raised)), cut_short)
         except Exception as error:  # noqa: BLE001 (whatever a driver raises is what is compared)
             outcome = outcome_text(None, error)
             raised.append(f"{type(error).__name__}: {error}")
-        if end is not None and is_unlike(outcome, end.text):
+        if end is not None and differs_from_trace(outcome, end.text):
             difference = Difference(end.number, line.owner, f"'{end.text}'", f"{method} ended with '{outcome}'")
-            return Replayed(calls, wiring.transfers, difference, tuple(dict.fromkeys(raised)), cut_short)
+            return ReplayResult(calls, wiring.transfers, difference, tuple(dict.fromkeys(raised)), cut_short)
         calls += 1
-    return Replayed(calls, wiring.transfers, None, tuple(dict.fromkeys(raised)), cut_short)
+    return ReplayResult(calls, wiring.transfers, None, tuple(dict.fromkeys(raised)), cut_short)
 
 
 def _ends_of(lines: Sequence[TraceLine]) -> dict[int, TraceLine]:

@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 HEAD = "# leactl wire trace 1"
 SENT, HEARD, FAILED, CALLED, ENDED = ">", "<", "!", "=", "~"
 KINDS = (SENT, HEARD, FAILED, CALLED, ENDED)
-CONNECT = "connect "  # precedes the error if a line could not be connected
-NOT_TAKEN = "/"  # precedes the bytes that a full line did not accept
+CONNECT = "connect "  # precedes the error of a line that could not be connected
+NOT_ACCEPTED = "/"  # precedes the bytes that a full line did not accept
 CAN_LOGS = (".asc", ".blf", ".log")  # python-can's own formats
-FLUSH_S = 0.5
+FLUSH_S = 0.5  # time between two flushes of the file
 CALLS = (  # methods of a driver that are traced; these calls and its input determine the bytes that it sends
     "open",
     "close",
@@ -138,16 +138,16 @@ class WireTrace:
                 self._flushed = now
                 self._text.flush()
 
-    def failed(self, owner: str, error: Exception, transfer: str = "") -> None:
+    def write_failure(self, owner: str, error: Exception, transfer: str = "") -> None:
         """Add the line of a transfer that failed; a line break within the error's text becomes `\\n`."""
         self.write(owner, FAILED, transfer + str(error).replace("\\", "\\\\").replace("\n", "\\n"))
 
-    def frame(self, owner: str, kind: str, message: "can.Message") -> None:
+    def write_frame(self, owner: str, kind: str, message: "can.Message") -> None:
         """Add a CAN frame, as a line or to the log of CAN frames."""
         self._is_empty = False
         if not self.fault:
             with self._errors_to_fault():
-                self._add_frame(owner, kind, message)
+                self._store_frame(owner, kind, message)
 
     @contextmanager
     def _errors_to_fault(self) -> Iterator[None]:
@@ -158,8 +158,8 @@ class WireTrace:
             reason = " ".join(str(error).split()) or type(error).__name__
             self.fault = f"{self.path}: nothing more was written: {reason}"
 
-    def _add_frame(self, owner: str, kind: str, message: "can.Message") -> None:
-        """Add a CAN frame to the log of CAN frames if there is one, else as a line."""
+    def _store_frame(self, owner: str, kind: str, message: "can.Message") -> None:
+        """Add a CAN frame to the log of CAN frames if there is one, otherwise as a line."""
         if self._can_log is None:
             self.write(owner, kind, frame_text(message))
             return
@@ -168,7 +168,7 @@ class WireTrace:
         stamped.timestamp, stamped.channel, stamped.is_rx = self._clock_offset + self.now(), owner, kind == HEARD
         self._can_log(stamped)
 
-    def called(self, owner: str, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    def trace_calls(self, owner: str, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         """Return a function that also adds a line when it begins and when it ends.
 
         No lines are added while another traced call of the same device or bus is under way.
@@ -231,7 +231,7 @@ def _reproducible(item: Any) -> Any:
     return item if isinstance(item, str) else float(item)
 
 
-def is_unlike(outcome: str, recorded: str) -> bool:
+def differs_from_trace(outcome: str, recorded: str) -> bool:
     """Return whether the outcome of a call differs from that in a trace.
 
     Older traces have null for rows, notices and tares; only an error differs from that.
@@ -265,23 +265,23 @@ class TracedWiring:
             try:
                 line = connect()
             except OSError as error:
-                self._trace.failed(name, error, CONNECT)
+                self._trace.write_failure(name, error, CONNECT)
                 raise
             return TracedLine(line, name, self._trace)
 
         return traced_connect
 
-    def library(self, device: str) -> Any:
-        """Return what replaces a maker's library; calls of it are not traced."""
-        return self._wiring.library(device)
+    def emulator_of(self, device: str) -> Any:
+        """Return the emulator that replaces a maker's library; its calls are not traced."""
+        return self._wiring.emulator_of(device)
 
     def wait_for_disk(self) -> None:
         """Wait for the disk of the wiring, before each write of the run file."""
         self._wiring.wait_for_disk()
 
-    def hang(self, torque: float) -> None:
+    def apply_weight_torque(self, torque: float) -> None:
         """Apply the torque of weights [N*m]."""
-        self._wiring.hang(torque)
+        self._wiring.apply_weight_torque(torque)
 
 
 class TracedLine:
@@ -296,7 +296,7 @@ class TracedLine:
         try:
             read = self._line.read(timeout)
         except OSError as error:
-            self._trace.failed(self._name, error)
+            self._trace.write_failure(self._name, error)
             raise
         if read:
             self._trace.write(self._name, HEARD, read.hex())
@@ -307,9 +307,9 @@ class TracedLine:
         try:
             accepted = self._line.write(data)
         except OSError as error:
-            self._trace.failed(self._name, error)
+            self._trace.write_failure(self._name, error)
             raise
-        refused = f"{NOT_TAKEN}{data[accepted:].hex()}" if accepted < len(data) else ""
+        refused = f"{NOT_ACCEPTED}{data[accepted:].hex()}" if accepted < len(data) else ""
         self._trace.write(self._name, SENT, f"{data[:accepted].hex()}{refused}")
         return accepted
 
@@ -326,19 +326,19 @@ class TracedCan:
         try:
             self._bus.send(message)
         except Exception as error:
-            self._trace.failed(self._name, error)
+            self._trace.write_failure(self._name, error)
             raise
-        self._trace.frame(self._name, SENT, message)
+        self._trace.write_frame(self._name, SENT, message)
 
     def recv(self, timeout: float) -> "can.Message | None":
         """Receive a frame."""
         try:
             message = self._bus.recv(timeout)
         except Exception as error:
-            self._trace.failed(self._name, error)
+            self._trace.write_failure(self._name, error)
             raise
         if message is not None:
-            self._trace.frame(self._name, HEARD, message)
+            self._trace.write_frame(self._name, HEARD, message)
         return message
 
 
@@ -387,10 +387,10 @@ def read_trace(path: Path) -> list[TraceLine]:
     head, *lines = text.split("\n")[:-1] or [""]
     if head != HEAD:
         raise InputError(f"{path}:1  '{head[:40]}': '{HEAD}' was expected")
-    return list(_parsed(path, lines))
+    return list(_parse_lines(path, lines))
 
 
-def _parsed(path: Path, lines: Sequence[str]) -> Iterator[TraceLine]:
+def _parse_lines(path: Path, lines: Sequence[str]) -> Iterator[TraceLine]:
     """Yield the lines of a trace, from the second line of the file on.
 
     Raises

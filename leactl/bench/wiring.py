@@ -45,13 +45,13 @@ class Wiring(Protocol):
     def i2c(self, name: str, bus: I2cBus) -> Callable[[], SmBus]:
         """Return a function that connects to an I2C bus."""
 
-    def library(self, device: str) -> Any:
-        """Return what replaces the maker's library for a device without a bus; None: the driver uses the library."""
+    def emulator_of(self, device: str) -> Any:
+        """Return the emulator that replaces the library of a device without a bus; None: the library is used."""
 
     def wait_for_disk(self) -> None:
         """Wait for the emulated disk of an emulated bench; called before each write of the run file."""
 
-    def hang(self, torque: float) -> None:
+    def apply_weight_torque(self, torque: float) -> None:
         """Apply the torque of weights [N*m] to the torque sensor from now on."""
 
     def serial(self, name: str, bus: LineBus) -> Callable[[], SerialLine]:
@@ -110,15 +110,15 @@ class MachineWiring:
 
         return connect
 
-    def library(self, device: str) -> Any:
+    def emulator_of(self, device: str) -> Any:
         """Return None: the driver uses the installed library."""
         return None
 
     def wait_for_disk(self) -> None:
         """Do nothing: the disk is real."""
 
-    def hang(self, torque: float) -> None:
-        """Do nothing: the operator hangs the weights."""
+    def apply_weight_torque(self, torque: float) -> None:
+        """Do nothing: the operator hangs the weights up."""
 
     def serial(self, name: str, bus: LineBus) -> Callable[[], SerialLine]:
         """Return a function that connects to a serial device, or to the raw socket of an instrument."""

@@ -119,7 +119,7 @@ def serve(
                 typer.echo(f"{name}: i2c-stub")
             else:
                 typer.echo(f"{name}: is not served; I2C needs the kernel's i2c-stub at that number", err=True)
-        for text in emulated.not_served:
+        for text in emulated.inactive_faults:
             typer.echo(text, err=True)
         typer.echo("serving; Ctrl-C ends it")
         all_chips = [chip for served in chips.values() for chip in served]

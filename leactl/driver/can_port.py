@@ -25,7 +25,7 @@ FD_NEEDS = (
     "a CAN-FD frame needs options: {fd: true} of the bus in the bench file, and on Linux: ip link set CHANNEL up type"
     " can bitrate 1000000 dbitrate 5000000 fd on"
 )
-LOOK_AT = "look at cable, termination and bit rate"
+CHECK_BUS_HINT = "look at cable, termination and bit rate"
 # classes of an error frame (linux/can/error.h)
 BUS_OFF = 0x40
 NO_TROUBLE = 0x102  # a lost arbitration, and a controller that came back
@@ -189,13 +189,14 @@ class CanPort:
                 " a longer one helps: ip link set CHANNEL txqueuelen 1000"
             )
         if count := self.disturbed.take_note():
-            told.append(f"bus '{self.name}': the controller reports an error by an error frame, {count}; {LOOK_AT}")
+            text = f"the controller reports an error by an error frame, {count}; {CHECK_BUS_HINT}"
+            told.append(f"bus '{self.name}': {text}")
         return told
 
     def why_silent(self) -> str:
         """What may explain that nobody answers, as the end of a sentence; empty where the bus shows no error."""
         count = self.disturbed.count
-        return f"; the bus '{self.name}' has shown {count} error frames: {LOOK_AT}" if count else ""
+        return f"; the bus '{self.name}' has shown {count} error frames: {CHECK_BUS_HINT}" if count else ""
 
     def pump_until(self, came: Sequence[bool], deadline: float) -> bool:
         """Dispatch frames until listeners have set all of `came`, or until the deadline; True if all are set.
@@ -226,7 +227,7 @@ class CanPort:
                 if message.arbitration_id & BUS_OFF:
                     raise DeviceError(
                         f"bus '{self.name}': the controller has left the bus (bus-off): too many of its frames failed;"
-                        f" {LOOK_AT}, then: leactl doctor"
+                        f" {CHECK_BUS_HINT}, then: leactl doctor"
                     )
                 if not message.arbitration_id & NO_TROUBLE:
                     self.disturbed.count += 1

@@ -7,7 +7,7 @@ from typing import Any
 import yaml
 
 from leactl.bench.benchfile import Bus, CanBus, I2cBus, LineBus
-from leactl.bench.scan import Answered, WireReport, how, settings_left_open
+from leactl.bench.scan import Answered, WireReport, rate_or_port, settings_left_open
 from leactl.driver import registry
 from leactl.driver.probe import CanProbe, Probe
 from leactl.report.terminal import list_line
@@ -162,7 +162,7 @@ def _missing_settings(device: Answered) -> list[str]:
 def _address(wire: ScannedWire, device: Answered) -> str:
     """Return the address of a device on its bus; on a serial line, the settings at which it answered."""
     if device.line is not None:
-        return how(device.line)
+        return rate_or_port(device.line)
     address = device.sighting.address or 0
     return f"0x{address:02X}" if isinstance(wire.buses[0], I2cBus) else f"node {address}"
 

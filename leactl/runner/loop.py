@@ -130,7 +130,7 @@ class Loop:
                 self._tare(action.samples)
             case Hang():
                 self._prompt(action.text)
-                self._bench.hang(action.torque)
+                self._bench.apply_weight_torque(action.torque)
             case Prompt():
                 self._prompt(action.text)
             case SetRecordRate():

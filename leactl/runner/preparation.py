@@ -135,7 +135,7 @@ def bench_of(request: Request, wiring: Wiring | None = None) -> Bench:
     if trace is None:
         return Bench(request.bench, request.devices, wiring)
     bench = Bench(request.bench, request.devices, TracedWiring(wiring, trace))
-    bench.pass_calls_through(trace.called, CALLS)
+    bench.pass_calls_through(trace.trace_calls, CALLS)
     return bench
 
 

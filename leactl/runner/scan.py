@@ -13,7 +13,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from leactl.bench.benchfile import Bus, CanBus, I2cBus, SerialBus, VisaBus
-from leactl.bench.host_checks import bring_up, can_interfaces, i2c_buses, is_up
+from leactl.bench.host_checks import bring_up_command, can_interfaces, i2c_buses, is_up
 from leactl.bench.scan import (
     Watcher,
     WireReport,
@@ -139,10 +139,11 @@ def _carries_fd(bus: CanBus) -> bool:
     state = states.get(str(bus.channel))
     if state is None:
         raise DeviceError(
-            f"{bus.channel}: there is no such CAN interface; connect its adapter, then: {bring_up(str(bus.channel))}"
+            f"{bus.channel}: there is no such CAN interface; connect its adapter, then:"
+            f" {bring_up_command(str(bus.channel))}"
         )
     if not is_up(state):
-        raise DeviceError(f"{bus.channel}: the interface is {state}; {bring_up(str(bus.channel))}")
+        raise DeviceError(f"{bus.channel}: the interface is {state}; {bring_up_command(str(bus.channel))}")
     return bool(bus.options.get("fd"))
 
 

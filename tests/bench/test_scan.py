@@ -13,7 +13,7 @@ from leactl_plugins.scpi_supply.models import OUTPUTS, dialect_of
 from leactl.bench.benchfile import SerialBus
 from leactl.bench.scan import (
     LISTEN_S,
-    PROBE_S,
+    LONGEST_PROBE_S,
     Watcher,
     WireReport,
     ask_can,
@@ -87,7 +87,7 @@ class CanBench:
     def scan(self, fd=False, probes=None, watcher=QUIET):
         connect = lambda: Tap(EmulatedCanBus(self.wire), self.tape)  # noqa: E731
         ask_can(self.report, connect, self.clock, probes or CAN, watcher, fd)
-        assert self.clock.now() < LISTEN_S + PROBE_S
+        assert self.clock.now() < LISTEN_S + LONGEST_PROBE_S
         return self.report
 
     def seen(self):

@@ -71,7 +71,7 @@ class Rehearsal:
 
         return connect
 
-    def hang(self, torque: float) -> None:
+    def apply_weight_torque(self, torque: float) -> None:
         """Nothing."""
 
     def wait_for_disk(self) -> None:

@@ -42,7 +42,7 @@ class Traced:
         file, devices, _ = benchfile.load(str(self.bench_path))
         self.trace = WireTrace(self.path)
         self.bench = Bench(file, devices, TracedWiring(MachineWiring(), self.trace))
-        self.bench.pass_calls_through(self.trace.called, CALLS)
+        self.bench.pass_calls_through(self.trace.trace_calls, CALLS)
         self.clock, self.supply = self.bench.clock, self.bench.drivers["supply"]
 
     def rows(self, count):

@@ -227,7 +227,7 @@ def test_a_check_of_the_file_alone_has_no_trace(here):
 def test_a_trace_is_on_the_disk_once_a_device_is_closed(tmp_path):
     with WireTrace(tmp_path / "run.trace") as trace:
         trace.write("can0", "<", "first")
-        trace.called("drive", "close", lambda: None)()
+        trace.trace_calls("drive", "close", lambda: None)()
         assert [line.kind for line in read_trace(tmp_path / "run.trace")] == ["<", "=", "~"]
 
 
@@ -372,7 +372,8 @@ def test_a_log_of_frames_that_cannot_be_made_leaves_no_trace_in_the_way(tmp_path
 
 def test_a_remote_frame_keeps_its_length_in_a_log_of_frames(tmp_path):
     with WireTrace(tmp_path / "run.asc") as trace:
-        trace.frame("can0", "<", can.Message(arbitration_id=0x701, is_extended_id=False, is_remote_frame=True, dlc=5))
+        message = can.Message(arbitration_id=0x701, is_extended_id=False, is_remote_frame=True, dlc=5)
+        trace.write_frame("can0", "<", message)
     with can.LogReader(tmp_path / "run.asc") as log:
         (frame,) = log
     assert (frame.arbitration_id, frame.is_remote_frame, frame.dlc) == (0x701, True, 5)
@@ -430,7 +431,7 @@ def test_a_trace_on_a_full_disk_stands_in_no_drive_s_way(tmp_path):
     ):
         trace._text.close()
         trace._text = full
-        assert trace.called("drive", "safe_state", lambda: called.append(1) or "safe")() == "safe"
+        assert trace.trace_calls("drive", "safe_state", lambda: called.append(1) or "safe")() == "safe"
         trace.write("drive", "<", "nothing more")
         assert called == [1]
         assert "nothing more was written: [Errno 28]" in trace.fault

@@ -75,7 +75,7 @@ class Wiring:
 
     serial = i2c
 
-    def hang(self, torque):
+    def apply_weight_torque(self, torque):
         """Nothing."""
 
     def wait_for_disk(self):

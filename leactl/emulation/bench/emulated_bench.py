@@ -50,7 +50,7 @@ def observed(observer: "Callable[[EmulatedBench], None]") -> Iterator[None]:
 
 
 class EmulatedMachine:
-    """One actuator of the rig as its drive's sensors read it, with noise."""
+    """One actuator of the rig as its drive's sensors read it: current and velocity with noise, the rest without."""
 
     def __init__(
         self,
@@ -104,21 +104,25 @@ class EmulatedBench:
         self.host_clock = HostClock(self.time)
         self.clock = self.host_clock if faults else self.time
         self.disk_delay_s = 0.0
-        self.not_served = [f"fault {f.fault}: nothing happens, {f.where_served}" for f in faults if f.where_served]
+        self.inactive_faults = [  # a line for each fault that does nothing if this bench is served to another process
+            f"fault {fault.fault}: nothing happens, {fault.inactive_when_served}"
+            for fault in faults
+            if fault.inactive_when_served
+        ]
         condition_changes = emulated.conditions.get(condition, {})
-        seed_number = emulated.seed if seed is None else seed
+        chosen_seed = emulated.seed if seed is None else seed
         test = actuator_of(file, "test", merge_parameters(emulated.test, condition_changes))
         load = actuator_of(file, "load", merge_parameters(emulated.load, condition_changes))
         effects = [effect_of(entry) for entry in emulated.effects]
         bench = BenchParameters.from_mapping(emulated.bench)
         expressible = all(set(own_hooks(effect)) <= set(RIG_HOOKS) for effect in effects)
         self.rig: Rig | SteppedRig = (
-            Rig(setup, test, load, bench, seed_number, effects)
+            Rig(setup, test, load, bench, chosen_seed, effects)
             if expressible
             else SteppedRig(setup, test, load, bench, effects)
         )
         self.time.follow(self.rig.advance)
-        self._file, self._settings, self._number = file, emulated, seed_number
+        self._file, self._settings, self._seed = file, emulated, chosen_seed
         self._streams_of_noise = 1
         self.machines = {role: self._machine(role) for role in ("test", "load")}
         self.wires = {name: CanWire(self.time) for name, bus in file.buses.items() if isinstance(bus, CanBus)}
@@ -133,7 +137,7 @@ class EmulatedBench:
         self.signals: dict[str, DeviceSignals] = {}
         for device in devices:
             self._attach(device, bool(faults))
-        Schedule(self, faults, seed_number)
+        Schedule(self, faults, chosen_seed)
         for observer in _observers:
             observer(self)
 
@@ -145,7 +149,7 @@ class EmulatedBench:
         """Return a function that connects to an emulated I2C bus."""
         return lambda: self.i2c_buses[name]
 
-    def library(self, device: str) -> Any:
+    def emulator_of(self, device: str) -> Any:
         """Emulator of a device without a bus, which replaces the maker's library."""
         return self.far_ends[device]
 
@@ -154,7 +158,7 @@ class EmulatedBench:
         if self.disk_delay_s:
             time.sleep(self.disk_delay_s)
 
-    def hang(self, torque: float) -> None:
+    def apply_weight_torque(self, torque: float) -> None:
         """Apply the torque of weights [N*m] to the torque sensor."""
         self.rig.hung_torque = torque
 
@@ -185,9 +189,9 @@ class EmulatedBench:
         if role not in self.rig.actuators:
             raise InputError(f"the emulated bench has motors 'test' and 'load', not '{role}'")
         settings, self._streams_of_noise = self._settings, self._streams_of_noise + 1
-        chance = np.random.default_rng([self._number, self._streams_of_noise])
+        rng = np.random.default_rng([self._seed, self._streams_of_noise])
         harmonics, noise = settings.back_emf_harmonics, settings.terminal_noise_V
-        leads = MotorTerminals(self.rig.actuators[role], harmonics, noise, chance)
+        leads = MotorTerminals(self.rig.actuators[role], harmonics, noise, rng)
         leads.sample(self.time.now())
         self.time.follow(leads.sample)
         return leads
@@ -233,16 +237,16 @@ class EmulatedBench:
                 f"the emulated bench has no {quantity_of_role}; it has {', '.join(TEMPERATURES)} of test and load"
             )
         actuator, ambient, part = rig.actuators[role], rig.bench.ambient_temperature, location.partition("_")[0]
-        spread, zero, gain = settings.temperature_noise_K, settings.temperature_offset_K, settings.temperature_gain
+        spread, offset, gain = settings.temperature_noise_K, settings.temperature_offset_K, settings.temperature_gain
         if quantity == "ambient_temperature":
-            return lambda: ambient + zero + spread * noise()
+            return lambda: ambient + offset + spread * noise()
         if quantity == "winding_temperature" and part in PARTS:
-            return lambda: ambient + zero + gain * (rig.part_of_winding(role, part) - ambient) + spread * noise()
-        return lambda: ambient + zero + gain * (getattr(actuator, quantity) - ambient) + spread * noise()
+            return lambda: ambient + offset + gain * (rig.part_of_winding(role, part) - ambient) + spread * noise()
+        return lambda: ambient + offset + gain * (getattr(actuator, quantity) - ambient) + spread * noise()
 
     def _fresh_noise(self) -> Noise:
         self._streams_of_noise += 1
-        return Noise(self._number, self._streams_of_noise)
+        return Noise(self._seed, self._streams_of_noise)
 
     def _machine(self, role: str) -> EmulatedMachine:
         settings = self._settings

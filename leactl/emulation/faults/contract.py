@@ -73,7 +73,7 @@ class Fault(Block, ABC):
 
     fault_name: ClassVar[str]  # in bench files: `fault: NAME`
     example: ClassVar[str]  # an entry of `emulated: faults:`, on the shipped bench where that has what it needs
-    where_served: ClassVar[str] = ""  # why it does nothing on a bench that is served to another process
+    inactive_when_served: ClassVar[str] = ""  # why it does nothing on a bench that is served to another process
     not_drilled: ClassVar[str] = ""  # why it is no part of `leactl safety drill`
 
     fault: str = Field(description="name of the fault")

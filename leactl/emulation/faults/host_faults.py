@@ -14,7 +14,7 @@ class HostClockJump(Fault):
 
     fault_name = "clock_jump"
     example = "{fault: clock_jump, at_s: 2, jump_s: -1}"
-    where_served = "the clock is that of the run's own process"
+    inactive_when_served = "the clock is that of the run's own process"
 
     jump_s: Annotated[float, Field(strict=True, ge=-1e6, le=1e6)] = Field(
         description="how far it jumps; negative: back"
@@ -36,7 +36,7 @@ class SlowDisk(LastingFault):
 
     fault_name = "slow_disk"
     example = "{fault: slow_disk, at_s: 2, delay_s: 3}"
-    where_served = "the file is that of the run's own process"
+    inactive_when_served = "the file is that of the run's own process"
     not_drilled = "it does not affect the bench: rows reach the disk later, by the wall clock"
 
     delay_s: Positive = Field(description="how long a write waits before it begins, in seconds of the wall clock")
