@@ -257,7 +257,7 @@ class _CanScan:
             if self._heard.errors:
                 report.note(f"{self._heard.errors} error frames came while it was asked; {BIT_RATE_HINT}")
         except DeviceError:
-            if port.full.count:
+            if port.queue_full.count:
                 raise DeviceError(f"bus '{report.name}': no frame is acknowledged; {BIT_RATE_HINT}") from None
             raise
         finally:

@@ -29,7 +29,7 @@ from leactl.bench.wire_trace import (
     read_trace,
 )
 from leactl.driver.contract import Mode
-from leactl.driver.i2c_port import SmBus, swapped
+from leactl.driver.i2c_port import SmBus, swap_bytes
 from leactl.driver.serial_port import SerialLine
 from leactl.errors import InputError
 
@@ -284,10 +284,10 @@ class _I2cSide:
 
     def read_word_data(self, i2c_addr: int, register: int) -> int:
         text = self._wire.transfer(HEARD, f"{i2c_addr:02x} {register:02x}")
-        return swapped(int(text.rpartition(" ")[2], 16))
+        return swap_bytes(int(text.rpartition(" ")[2], 16))
 
     def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
-        self._wire.transfer(SENT, f"{i2c_addr:02x} {register:02x} {swapped(value):04x}")
+        self._wire.transfer(SENT, f"{i2c_addr:02x} {register:02x} {swap_bytes(value):04x}")
 
     def close(self) -> None:
         """Nothing is open."""

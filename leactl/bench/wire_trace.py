@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 from leactl.bench.benchfile import CanBus, I2cBus, LineBus
 from leactl.bench.wiring import Wiring
 from leactl.driver.contract import Confirmation, Row, SampleBlock
-from leactl.driver.i2c_port import SmBus, swapped
+from leactl.driver.i2c_port import SmBus, swap_bytes
 from leactl.driver.serial_port import SerialLine
 from leactl.errors import InputError
 from leactl.runfile.publish import refuse_existing
@@ -354,13 +354,13 @@ class TracedI2c:
         word: int = self._transfer(
             lambda: self._bus.read_word_data(i2c_addr, register), f"{i2c_addr:02x} {register:02x}"
         )
-        self._trace.write(self._name, HEARD, f"{i2c_addr:02x} {register:02x} {swapped(word):04x}")
+        self._trace.write(self._name, HEARD, f"{i2c_addr:02x} {register:02x} {swap_bytes(word):04x}")
         return word
 
     def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
         """Write a register."""
         self._transfer(lambda: self._bus.write_word_data(i2c_addr, register, value), f"{i2c_addr:02x} {register:02x}")
-        self._trace.write(self._name, SENT, f"{i2c_addr:02x} {register:02x} {swapped(value):04x}")
+        self._trace.write(self._name, SENT, f"{i2c_addr:02x} {register:02x} {swap_bytes(value):04x}")
 
     def _transfer(self, transfer: Callable[[], Any], address: str) -> Any:
         """Make a transfer; if it fails, add a line with the address and the errno."""

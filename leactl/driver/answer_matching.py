@@ -6,14 +6,15 @@ A request is anything that makes a drive answer once a cycle: CANopen's SYNC, or
 import math
 from dataclasses import dataclass
 
-# A lost answer empties the rows of this time and one cycle, which is less than the 50 ms of silence that the supervisor
-# allows at any rate, so that it ends no run. After a longer stall, answers come in a burst and not one to a request.
-IN_STEP_S = 0.012  # time with one answer to each request after which missing answers are taken for lost
-WATCHED_S = 1.0  # time after an irregular answer in which answers are counted before every request
+# Missing answers count as lost after this time with one answer to each request. A lost answer empties the rows of this
+# time and one cycle; the supervisor allows 50 ms of silence at any rate, so that a lost answer ends no run. After a
+# longer stall, answers come in a burst and not one to a request.
+LOST_AFTER_S = 0.012
+WATCH_S = 1.0  # time after an irregular answer in which answers are counted before every request
 
 
 @dataclass
-class Irregular:
+class IrregularAnswers:
     """Counts of answers that were not one to each request before the cycle's deadline."""
 
     late: int = 0  # arrived after their cycle
@@ -33,20 +34,20 @@ class Answers:
     While every request has its answer, nothing is counted: the next answer belongs to the next request. Once an answer
     is missing, the drive is watched: an answer then belongs to the earliest request without one, and a row takes only
     answers to its own request. A lost answer would shift all later ones for ever; therefore, once each request has
-    brought one answer for `IN_STEP_S`, answers that are still missing are taken for lost.
+    brought one answer for `LOST_AFTER_S`, answers that are still missing are taken for lost.
 
-    The kinds of one request come in their order. Where the drive is not watched, a frame that comes twice is noticed by
-    it: the last kind then comes before the others of its request.
+    The kinds of answers to one request come in a fixed order. By it, a frame that comes twice is noticed even if the
+    drive is not watched: the last kind then comes before the other kinds of its request.
     """
 
     def __init__(self, count: int) -> None:
-        self.came = [True] * 3  # of each kind, an answer in this cycle; True for a kind that the drive does not send
+        self.came = [True] * 3  # by kind, whether an answer came in this cycle; True for a kind that is not sent
         self.watched = True
-        self.irregular = Irregular()
-        self._owed = [0] * count  # requests without an answer, of each kind
-        self._counted = [0] * count  # answers since the last request
-        self._too_many = False  # answers came unasked, and not long enough one by one since
-        self._unplaced = 0  # answers to an earlier request, or to their own with one before it lost
+        self.irregular = IrregularAnswers()
+        self._owed = [0] * count  # by kind, requests without an answer
+        self._counted = [0] * count  # by kind, answers since the last request
+        self._too_many = False  # whether answers came unasked, until each request has its answer for `LOST_AFTER_S`
+        self._unplaced = 0  # answers that are late, or in time if an earlier answer was lost
         self._in_cycle = self._begun = False
         self._watched_until = self._in_step_since = -math.inf
 
@@ -63,7 +64,7 @@ class Answers:
         self._in_cycle = True
 
     def _judge(self, now: float) -> None:
-        """Take missing answers for lost, or trust the count again, after `IN_STEP_S` with one answer per request."""
+        """Take missing answers for lost, or trust the count again, after `LOST_AFTER_S` with one answer per request."""
         if not any(self._owed):
             self.irregular.late += self._unplaced
             self._unplaced = 0
@@ -71,20 +72,20 @@ class Answers:
                 return
         if any(count != 1 for count in self._counted):
             self._in_step_since = now
-        elif now - self._in_step_since >= IN_STEP_S:
+        elif now - self._in_step_since >= LOST_AFTER_S:
             self.irregular.lost += sum(self._owed)
             self._owed = [0] * len(self._owed)
             self._unplaced, self._too_many = 0, False
 
     def take(self, which: int, now: float) -> bool:
         """Count an answer of a watched drive; True if it is known to answer this cycle's request."""
-        if not self._begun:  # it answers a request of somebody else
+        if not self._begun:  # the answer is to a request of another program
             return False
         self._counted[which] += 1
         if not self._owed[which]:
             self.irregular.surplus += 1
             self._too_many = True
-            self._in_step_since, self._watched_until = now, now + WATCHED_S
+            self._in_step_since, self._watched_until = now, now + WATCH_S
             return False
         self._owed[which] -= 1
         if not self._in_cycle:
@@ -96,7 +97,7 @@ class Answers:
         return not self._owed[which] and not self._too_many
 
     def leave_out(self) -> None:
-        """Count an answer that came before the kinds that precede it: it is one to an earlier request, come twice."""
+        """Count an answer that came before the kinds that precede it: it repeats an answer to an earlier request."""
         self.irregular.surplus += 1
 
     def end(self, now: float) -> list[bool]:
@@ -104,7 +105,7 @@ class Answers:
         counts_from_now = not self.watched
         for which in range(len(self._owed)):
             if not self.came[which]:
-                self.watched, self._watched_until = True, now + WATCHED_S
+                self.watched, self._watched_until = True, now + WATCH_S
                 self._in_step_since = now
             if counts_from_now:
                 self._owed[which] = 0 if self.came[which] else 1

@@ -19,8 +19,8 @@ Listener = Callable[[bytearray, float], None]
 
 SYNC_ID = 0x080
 NMT_ID = 0x000
-LATE_S = 0.01
-FULL_S = 0.002  # longest wait for room in the queue: some 15 frames at 1 Mbit/s; any cycle can spare it twice
+LONGEST_BACKLOG_S = 0.01  # time after a deadline in which frames that had arrived by then are still dispatched
+LONGEST_QUEUE_WAIT_S = 0.002  # about 15 frames at 1 Mbit/s; any cycle can spare it twice
 FD_NEEDS = (
     "a CAN-FD frame needs options: {fd: true} of the bus in the bench file, and on Linux: ip link set CHANNEL up type"
     " can bitrate 1000000 dbitrate 5000000 fd on"
@@ -28,7 +28,7 @@ FD_NEEDS = (
 CHECK_BUS_HINT = "look at cable, termination and bit rate"
 # classes of an error frame (linux/can/error.h)
 BUS_OFF = 0x40
-NO_TROUBLE = 0x102  # a lost arbitration, and a controller that came back
+HARMLESS_CLASSES = 0x102  # a lost arbitration, and a controller that has returned
 
 
 class CanPort:
@@ -55,8 +55,8 @@ class CanPort:
         self._fd_listeners: dict[int, Listener] = {}
         self._sent: dict[int, can.Message] = {}
         self._users = 0
-        self.full = Tally()
-        self.disturbed = Tally()
+        self.queue_full = Tally()  # frames that found the interface's queue full
+        self.error_frames = Tally()
 
     @property
     def connected(self) -> bool:
@@ -75,7 +75,7 @@ class CanPort:
         self._users += 1
 
     def _open_bus(self) -> None:
-        self.disturbed = Tally()
+        self.error_frames = Tally()
         try:
             self.bus = self._connect()
         except (OSError, ValueError, ImportError, _can_error()) as error:
@@ -129,8 +129,8 @@ class CanPort:
         if bus is None:
             raise DeviceError(f"bus '{self.name}': not open")
         message = self._sent.get(identifier)
-        if message is None or message.data != data:  # a repeated frame needs no message of its own, a changed one does:
-            # the bus may still hold the one before
+        # equal data reuse the message; changed data need a new one, because the bus may still hold the one before
+        if message is None or message.data != data:
             message = self._message(arbitration_id=identifier, data=data, is_extended_id=False)
             self._sent[identifier] = message
         try:
@@ -139,7 +139,7 @@ class CanPort:
             self._send_again(message, error)
 
     def send_fd(self, identifier: int, data: bytes) -> None:
-        """Send one CAN-FD frame whose data goes at the faster rate; the identifier has 29 bits where 11 are too few.
+        """Send one CAN-FD frame whose data goes at the faster rate; an identifier too large for 11 bits gets 29.
 
         Raises
         ------
@@ -161,41 +161,41 @@ class CanPort:
             self._send_again(message, error)
 
     def _send_again(self, message: "can.Message", error: Exception) -> None:
-        """Repeat a frame that found the interface's queue full, for at most `FULL_S`.
+        """Repeat a frame that found the interface's queue full, for at most `LONGEST_QUEUE_WAIT_S`.
 
         Raises
         ------
         DeviceError : the queue stays full, or sending failed for another reason.
         """
-        self.full.count += 1
-        until = self._now() + FULL_S
+        self.queue_full.count += 1
+        until = self._now() + LONGEST_QUEUE_WAIT_S
         while _is_full(error) and self.bus is not None and self._now() < until:
-            self.clock.sleep_until(self._now() + FULL_S / 10)
+            self.clock.sleep_until(self._now() + LONGEST_QUEUE_WAIT_S / 10)
             try:
                 self.bus.send(message)
             except (OSError, ValueError, _can_error()) as again:
                 error = again
             else:
                 return
-        needs = f"; {FD_NEEDS}" if message.is_fd and errno.EINVAL in _numbers(error) else ""
+        needs = f"; {FD_NEEDS}" if message.is_fd and errno.EINVAL in _error_numbers(error) else ""
         raise DeviceError(f"bus '{self.name}': cannot send 0x{message.arbitration_id:03X}: {error}{needs}") from None
 
     def notices(self) -> list[str]:
         """One line for each notable event of the bus since the last call."""
-        told = []
-        if count := self.full.take_note():
-            told.append(
+        lines = []
+        if count := self.queue_full.take_note():
+            lines.append(
                 f"bus '{self.name}': a frame had to wait for room in the interface's queue, {count};"
                 " a longer one helps: ip link set CHANNEL txqueuelen 1000"
             )
-        if count := self.disturbed.take_note():
+        if count := self.error_frames.take_note():
             text = f"the controller reports an error by an error frame, {count}; {CHECK_BUS_HINT}"
-            told.append(f"bus '{self.name}': {text}")
-        return told
+            lines.append(f"bus '{self.name}': {text}")
+        return lines
 
     def why_silent(self) -> str:
-        """What may explain that nobody answers, as the end of a sentence; empty where the bus shows no error."""
-        count = self.disturbed.count
+        """Possible reason why nobody answers, as the end of a sentence; empty if the bus has shown no error."""
+        count = self.error_frames.count
         return f"; the bus '{self.name}' has shown {count} error frames: {CHECK_BUS_HINT}" if count else ""
 
     def pump_until(self, came: Sequence[bool], deadline: float) -> bool:
@@ -213,7 +213,7 @@ class CanPort:
         while False in came:
             seconds_left = deadline - now()
             if seconds_left < 0.0:
-                if seconds_left < -LATE_S:
+                if seconds_left < -LONGEST_BACKLOG_S:
                     return False
                 seconds_left = 0.0
             try:
@@ -229,8 +229,8 @@ class CanPort:
                         f"bus '{self.name}': the controller has left the bus (bus-off): too many of its frames failed;"
                         f" {CHECK_BUS_HINT}, then: leactl doctor"
                     )
-                if not message.arbitration_id & NO_TROUBLE:
-                    self.disturbed.count += 1
+                if not message.arbitration_id & HARMLESS_CLASSES:
+                    self.error_frames.count += 1
             elif message.is_fd:
                 listener = self._fd_listeners.get(message.arbitration_id)
                 if listener is not None:
@@ -257,11 +257,11 @@ class CanPort:
 
 def _is_full(error: Exception) -> bool:
     """Whether an error says that the interface's queue was full."""
-    return errno.ENOBUFS in _numbers(error)
+    return errno.ENOBUFS in _error_numbers(error)
 
 
-def _numbers(error: Exception) -> tuple[int | None, int | None]:
-    """The numbers of a failure, by python-can and by the system."""
+def _error_numbers(error: Exception) -> tuple[int | None, int | None]:
+    """Error numbers of a failure: that of python-can, and that of the system."""
     return getattr(error, "error_code", None), getattr(error, "errno", None)
 
 

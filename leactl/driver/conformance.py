@@ -37,29 +37,32 @@ def faults_of(driver: type[Driver]) -> list[str]:
     if driver.transport not in ("can", "i2c", "serial", "none"):
         faults.append(f"transport '{driver.transport}' is none of can, i2c, serial, none")
     if driver.further_transports and (driver.transport, driver.further_transports) != ("serial", ("visa",)):
-        faults.append("further_transports is only known as ('visa',), of a driver over serial")
-    kinds = {"can": CanProbe, "i2c": I2cProbe, "serial": LineProbe}
-    if driver.probe is not None and not isinstance(driver.probe, kinds.get(driver.transport, ())):
-        faults.append(f"probe is none for a bus of kind {driver.transport}")
+        faults.append("further_transports may only be ('visa',), and only if transport is 'serial'")
+    probe_classes: dict[str, type] = {"can": CanProbe, "i2c": I2cProbe, "serial": LineProbe}
+    probe_class = probe_classes.get(driver.transport)
+    if driver.probe is not None and not (probe_class and isinstance(driver.probe, probe_class)):
+        expected = f"a {probe_class.__name__}" if probe_class else "no probe"
+        actual = type(driver.probe).__name__
+        faults.append(f"probe is of class {actual}; {expected} was expected with transport '{driver.transport}'")
     if not issubclass(driver.Settings, DriverSettings):
         return [*faults, "Settings does not derive from DriverSettings"]
     config = driver.Settings.model_config
     if config.get("extra") != "forbid" or not config.get("frozen"):
         faults.append("Settings must be frozen and forbid unknown keys")
     for name, field in driver.Settings.model_fields.items():
-        if _is_number(field.annotation) and not name.endswith(UNIT_SUFFIXES):  # a whole number counts something
+        if _is_number(field.annotation) and not name.endswith(UNIT_SUFFIXES):  # a whole number is a count, without unit
             faults.append(f"setting {name} is a number whose name carries no unit")
     if inspect.isabstract(driver):
         faults.append(f"has no {', '.join(sorted(driver.__abstractmethods__))}")
     annotation = inspect.signature(driver.safe_state).return_annotation
     if annotation not in (Confirmation, "Confirmation"):
-        faults.append("safe_state does not answer a Confirmation")
+        faults.append("safe_state does not return a Confirmation")
     annotation = inspect.signature(driver.identity).return_annotation
     if annotation not in (Identity, "Identity"):
-        faults.append("identity does not answer an Identity")
+        faults.append("identity does not return an Identity")
     if hasattr(driver, "switch_on") and driver.stop_now is Driver.stop_now:
-        faults.append("a power supply must have a stop_now: what it feeds is cut before any device is waited for")
-    if not driver.__doc__:  # `inspect.getdoc` would give the one of `Driver`
+        faults.append("a power supply must have a stop_now: its output is switched off before any device is waited for")
+    if not driver.__doc__:  # `inspect.getdoc` would return the docstring of `Driver`
         faults.append("the class has no docstring")
     return faults
 

@@ -12,7 +12,7 @@ from leactl.errors import DeviceError, NoAnswer
 
 Result = TypeVar("Result")
 
-LOOK_S = 0.01  # between two steps of a script that waits for no byte
+POLL_S = 0.01  # time between two steps of a script that waits for no byte
 
 
 class Unreadable(DeviceError):
@@ -50,8 +50,8 @@ class Pause:
     """Yielded by a script to continue at the next step."""
 
 
-Said = str | bytes | Query | Pause
-Script = Generator[Said, Reply | None, Result]
+Yielded = str | bytes | Query | Pause  # by a script: a command or a query to send, or the end of a step
+Script = Generator[Yielded, Reply | None, Result]
 
 
 def ask(query: Query) -> Script[Any]:
@@ -66,10 +66,10 @@ class Talk(Generic[Result]):
 
     def __init__(self, port: SerialPort, script: Script[Result], answer_s: float) -> None:
         self._port, self._script, self._answer_s = port, script, answer_s
-        self._unsent: Query | str | bytes | None = None  # until the device has had its rest
+        self._unsent: Query | str | bytes | None = None  # to be sent once the device has rested
         self._question: Query | None = None
         self._asked = 0.0
-        self._lines: list[bytes] = []  # of an answer that is not whole yet
+        self._lines: list[bytes] = []  # lines of an answer that is not complete yet
         self.ended = False
         self.result: Result | None = None
 
@@ -125,7 +125,7 @@ class Talk(Generic[Result]):
             elif self._question is not None and self._question.silence_s is None:
                 self._port.wait(min(deadline, self._asked + self._answer_s), self._question.framing)
             else:
-                clock.sleep_until(min(deadline, now + LOOK_S))
+                clock.sleep_until(min(deadline, now + POLL_S))
 
     def _take(self, question: Query) -> bytes | None:
         if question.silence_s is not None:
@@ -143,7 +143,7 @@ class Talk(Generic[Result]):
         self._question = None
         self._say(self._script.send, Reply(value, self._asked, now))
 
-    def _say(self, proceed: Callable[[Any], Said], argument: Reply | DeviceError | None) -> Said | None:
+    def _say(self, proceed: Callable[[Any], Yielded], argument: Reply | DeviceError | None) -> Yielded | None:
         """Resume the script, which says what to send next; returns that, or None at the end of the script."""
         try:
             said = proceed(argument)

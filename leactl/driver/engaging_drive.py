@@ -11,20 +11,20 @@ from leactl.errors import InputError
 
 
 class EngagingDrive(Driver):
-    """A drive whose driver has one method that turns to a mode, `_follow`."""
+    """A drive whose driver changes its mode by the method `_follow`."""
 
-    modes: ClassVar[Container[Mode]]  # that it can follow
-    connection: ClassVar[str] = ""  # words behind a refusal, such as "over this line"
-    enable_time_s: ClassVar[float]  # within which the drive has to enter operation
+    modes: ClassVar[Container[Mode]]  # modes that it can follow
+    connection: ClassVar[str] = ""  # added to a refusal of a mode, such as "over this line"
+    enable_time_s: ClassVar[float]  # time for the drive to enter operation
 
     name: str
     _clock: Clock
-    _safe: bool  # whether it has confirmed its safe state, and nothing was demanded of it since
-    _enable_by: float = math.inf  # s on the clock, by which it has to be in operation
+    _safe: bool  # whether it has confirmed its safe state, and has got no demand since
+    _enable_by: float = math.inf  # time on the clock [s] by which it has to be in operation
 
     @abstractmethod
     def _follow(self, mode: Mode) -> None:
-        """Turn to a mode with zero demand."""
+        """Change to a mode with zero demand."""
 
     def engage(self, mode: Mode) -> None:
         """Begin to enter operation in this mode with zero demand; in angle mode the drive holds the present angle.

@@ -40,7 +40,7 @@ class FileRecord:
     time: Array  # (rows,), s on the device's clock, strictly increasing
     values: Array  # (rows, channels), NaN where nothing was measured
     began: float | None  # zero of the device's clock, s since 1970 UTC; None if it has no date or no zone
-    resolution: float  # of a stamp [s]
+    resolution: float  # of the stamps [s]
     remarks: tuple[str, ...]  # dialect, units and clock as they were read, and doubts about the record
     files: tuple[Path, ...]
 
@@ -119,7 +119,7 @@ class ExportFolder:
 
     def _files(self) -> dict[Path, int]:
         modified_ns: dict[Path, int] = {}
-        with suppress(OSError):  # no such folder, or none that can be read: nothing comes from there
+        with suppress(OSError):  # a folder that is absent or cannot be read has no files
             for path in self.folder.iterdir() if self.folder else ():
                 with suppress(FileNotFoundError):  # gone since it was listed
                     if path.is_file():

@@ -12,9 +12,9 @@ from typing import Any, Protocol
 from leactl.driver.tally import Tally
 from leactl.errors import DeviceError, NoAnswer
 
-ATTEMPTS = 3  # of a transfer of half a millisecond (three bytes and an address at 100 kHz)
-_NAK = {errno.EREMOTEIO, errno.ENXIO, errno.ENODEV}
-_MEANING = {
+MOST_ATTEMPTS = 3  # of a transfer, which takes half a millisecond (three bytes and an address at 100 kHz)
+_NOT_ACKNOWLEDGED = {errno.EREMOTEIO, errno.ENXIO, errno.ENODEV}
+_MEANINGS = {
     errno.EBUSY: "a kernel driver holds this address; unbind it",
     errno.EACCES: "no permission; add the user to group i2c",
     errno.ENOENT: "no such bus; load i2c-dev and enable the adapter",
@@ -29,7 +29,7 @@ class SmBus(Protocol):
     def close(self) -> None: ...  # noqa: D102
 
 
-def swapped(word: int) -> int:
+def swap_bytes(word: int) -> int:
     """Swap the bytes of a word: SMBus sends the low byte first, these devices the high byte."""
     return (word & 0xFF) << 8 | word >> 8
 
@@ -42,7 +42,7 @@ class I2cPort:
         self.name = name
         self._bus: SmBus | None = None
         self._users = 0
-        self.unacknowledged = Tally()
+        self.repeated = Tally()  # transfers that were not acknowledged
 
     @property
     def connected(self) -> bool:
@@ -60,11 +60,11 @@ class I2cPort:
             try:
                 self._bus = self._connect()
             except OSError as error:
-                raise DeviceError(f"bus '{self.name}': {_MEANING.get(error.errno or 0, error)}") from None
+                raise DeviceError(f"bus '{self.name}': {_MEANINGS.get(error.errno or 0, error)}") from None
         self._users += 1
 
     def close(self) -> None:
-        """Disconnect when the last user has let go."""
+        """Disconnect when the last user has closed the port."""
         self._users = max(0, self._users - 1)
         bus = self._bus
         if self._users == 0 and bus is not None:
@@ -83,7 +83,7 @@ class I2cPort:
         bus = self._bus
         if bus is None:
             raise DeviceError(f"bus '{self.name}': not open")
-        return swapped(self._acknowledged(address, lambda: bus.read_word_data(address, register)))
+        return swap_bytes(self._transfer(address, lambda: bus.read_word_data(address, register)))
 
     def write(self, address: int, register: int, value: int) -> None:
         """Write a 16-bit register.
@@ -96,28 +96,28 @@ class I2cPort:
         bus = self._bus
         if bus is None:
             raise DeviceError(f"bus '{self.name}': not open")
-        self._acknowledged(address, lambda: bus.write_word_data(address, register, swapped(value)))
+        self._transfer(address, lambda: bus.write_word_data(address, register, swap_bytes(value)))
 
     def notices(self) -> list[str]:
         """One line for each notable event of the bus since the last call."""
-        count = self.unacknowledged.take_note()
+        count = self.repeated.take_note()
         return [f"bus '{self.name}': a transfer went through only when it was repeated, {count}"] if count else []
 
-    def _acknowledged(self, address: int, transfer: Callable[[], Any]) -> Any:
-        """Make a transfer and repeat it if it is not acknowledged: near a motor drive, bits are lost now and then."""
-        for attempts_left in reversed(range(ATTEMPTS)):
+    def _transfer(self, address: int, transfer: Callable[[], Any]) -> Any:
+        """Make a transfer, and repeat it if it is not acknowledged: near a motor drive, bits get lost."""
+        for attempts_left in reversed(range(MOST_ATTEMPTS)):
             try:
                 return transfer()
             except OSError as error:
-                if error.errno not in _NAK or not attempts_left:
+                if error.errno not in _NOT_ACKNOWLEDGED or not attempts_left:
                     raise self._explain(error, address) from None
-                self.unacknowledged.count += 1
+                self.repeated.count += 1
         raise AssertionError("the last attempt returns or raises")
 
     def _explain(self, error: OSError, address: int) -> DeviceError:
         device = f"bus '{self.name}', address 0x{address:02X}"
-        if error.errno in _NAK:
+        if error.errno in _NOT_ACKNOWLEDGED:
             return NoAnswer(f"{device}: not acknowledged (errno {error.errno}); check wiring, power, address")
         if error.errno == errno.ETIMEDOUT:
             return NoAnswer(f"{device}: the transfer timed out (errno {error.errno})")
-        return DeviceError(f"{device}: {_MEANING.get(error.errno or 0, error)}")
+        return DeviceError(f"{device}: {_MEANINGS.get(error.errno or 0, error)}")

@@ -14,34 +14,34 @@ GROUP = "leactl.drivers"
 
 
 @dataclass(frozen=True)
-class Registered:
+class RegisteredDriver:
     """A registered name with its driver, or the reason why it could not be loaded."""
 
     name: str
-    source: str  # the distribution that brought it
+    source: str  # the distribution that registers it
     driver: "type[Driver] | None"
     error: str = ""
 
 
 @cache
-def points() -> tuple[EntryPoint, ...]:
-    """Entry points of all drivers; each look at what is installed takes 3 ms, and a run asks for every device."""
+def driver_entry_points() -> tuple[EntryPoint, ...]:
+    """Entry points of all drivers, cached: a search takes 3 ms, and a run loads the driver of every device."""
     return tuple(entry_points(group=GROUP))
 
 
 def names() -> list[str]:
     """Names of all registered drivers, without importing any."""
-    return sorted({point.name for point in points()})
+    return sorted({point.name for point in driver_entry_points()})
 
 
-def find(name: str) -> Registered:
+def find(name: str) -> RegisteredDriver:
     """Load one driver.
 
     Raises
     ------
     InputError : no plug-in of this name is registered.
     """
-    matching = [point for point in points() if point.name == name]
+    matching = [point for point in driver_entry_points() if point.name == name]
     if not matching:
         raise InputError(f"driver '{name}' is not registered; known: {', '.join(names()) or 'none'}")
     return _load(matching[0])
@@ -60,19 +60,19 @@ def load(name: str) -> "type[Driver]":
     return registered.driver
 
 
-def survey() -> list[Registered]:
+def survey() -> list[RegisteredDriver]:
     """Load every registered driver and report each."""
     return [find(name) for name in names()]
 
 
-def _load(point: EntryPoint) -> Registered:
+def _load(point: EntryPoint) -> RegisteredDriver:
     from leactl.driver.contract import Driver
 
     source = f"{point.dist.name} {point.dist.version}" if point.dist else "unknown distribution"
     try:
         driver = point.load()
-    except Exception as error:  # noqa: BLE001 (a foreign plug-in may fail in any way; it must not take leactl with it)
-        return Registered(point.name, source, None, f"{type(error).__name__}: {error}")
+    except Exception as error:  # noqa: BLE001 (a foreign plug-in may fail in any way; it must not end leactl)
+        return RegisteredDriver(point.name, source, None, f"{type(error).__name__}: {error}")
     if not (isinstance(driver, type) and issubclass(driver, Driver)):
-        return Registered(point.name, source, None, f"{point.value} is not a leactl Driver")
-    return Registered(point.name, source, driver)
+        return RegisteredDriver(point.name, source, None, f"{point.value} is not a leactl Driver")
+    return RegisteredDriver(point.name, source, driver)

@@ -26,8 +26,8 @@ class Port(Protocol):
 def send_at_once(send: Callable[[], object], port: Port, is_open: Callable[[], bool]) -> None:
     """Send a command that removes power, without waiting for its answer; once more over a new connection if that fails.
 
-    send : connects where nothing is connected, and sends.
-    is_open : whether a connection had been made; without one there is no second try. `safe_state` reports what failed.
+    send : sends, and connects before if there is no connection.
+    is_open : whether a connection had been made; without one there is no second try. `safe_state` reports the failure.
     """
     try:
         send()
@@ -45,7 +45,7 @@ def make_safe(devices: Iterable[Driver]) -> dict[str, Confirmation]:
     for device in ordered:
         try:
             device.stop_now()
-        except Exception:  # noqa: BLE001 (a broken driver must not keep the others waiting; it is asked again below)
+        except Exception:  # noqa: BLE001 (a broken driver must not delay the others; `safe_state` is called below)
             continue
     for device in ordered:
         name = getattr(device, "name", type(device).__name__)
@@ -58,7 +58,7 @@ def make_safe(devices: Iterable[Driver]) -> dict[str, Confirmation]:
 
 def _supplies(device: Driver) -> bool:
     try:
-        return isinstance(device, PowerSupply)  # which reads its properties
+        return isinstance(device, PowerSupply)  # reads the properties of the driver
     except Exception:  # noqa: BLE001 (a broken driver must not keep any device from being made safe)
         return False
 

@@ -12,8 +12,8 @@ from leactl.driver import registry
 from leactl.errors import InputError
 from leactl.quantities import FLAGS, UNITS
 
-TESTED = {"serial": "0.0, 1.25, -0.5, 40.0", "i2c": "0.0, 1.25, 40.0"}  # values in the package's own test, by bus
-BUSES = tuple(TESTED)
+TEST_VALUES = {"serial": "0.0, 1.25, -0.5, 40.0", "i2c": "0.0, 1.25, 40.0"}  # of the package's test, by bus
+BUSES = tuple(TEST_VALUES)
 NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 
@@ -43,7 +43,7 @@ def write_package(name: str, bus: str, quantity: str, into: Path) -> Path:
     words = name.split("_")
     dashed, class_name = "-".join(words), "".join(word.capitalize() for word in words)
     texts = resources.files("leactl.driver.templates") / bus
-    if keyword.iskeyword(class_name) or class_name in _imported(texts):
+    if keyword.iskeyword(class_name) or class_name in _imported_names(texts):
         raise InputError(f"'{name}': its class would be {class_name}, which means something else there already")
     folder = into / f"leactl-{dashed}"
     if folder.exists():
@@ -55,7 +55,7 @@ def write_package(name: str, bus: str, quantity: str, into: Path) -> Path:
         "title": f"{' '.join(words)}, {quantity.replace('_', ' ')} over {'I2C' if bus == 'i2c' else 'a serial line'}",
         "quantity": quantity,
         "units": "0 or 1" if quantity in FLAGS else f"in {UNITS[quantity]}",
-        "values": "0.0, 1.0" if quantity in FLAGS else TESTED[bus],
+        "values": "0.0, 1.0" if quantity in FLAGS else TEST_VALUES[bus],
     }
     file_names = {"pyproject.toml": "pyproject.toml", "test_driver.py": f"tests/test_{name}.py"}
     try:
@@ -72,8 +72,8 @@ def write_package(name: str, bus: str, quantity: str, into: Path) -> Path:
     return folder
 
 
-def _imported(texts: Traversable) -> set[str]:
-    """Names that the driver's text imports; a class of such a name would stand in their place."""
+def _imported_names(texts: Traversable) -> set[str]:
+    """Names that the driver's template imports; a class of such a name would replace the imported one."""
     text = (texts / "driver.py.txt").read_text("utf-8")
     lines = re.findall(r"^from \S+ import (.+)$", text, re.MULTILINE)
     return {name for line in lines for name in line.split(", ")}

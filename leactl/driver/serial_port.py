@@ -12,14 +12,14 @@ from typing import NamedTuple, Protocol
 from leactl.driver.clock import Clock
 from leactl.errors import DeviceError
 
-LONGEST_LINE = 256  # bytes, unless a driver expects more; of a longer line only the end is kept
+LONGEST_LINE = 256  # bytes, unless a driver sets another length; only the end of a longer line is kept
 
 
 class FrameCut(NamedTuple):
     """What a `Framing` finds at the beginning of the bytes that have arrived."""
 
-    noise: int  # bytes that cannot begin a frame, whatever follows; they are dropped, and the rest is looked at anew
-    length: int  # of the frame behind them, which need not have arrived in full; 0: more bytes are needed to tell
+    noise: int  # bytes that cannot begin a frame, whatever follows; they are dropped, and the rest is framed again
+    length: int  # of the frame behind them, even if it has not arrived in full; 0: more bytes are needed to find it
 
 
 Framing = Callable[[bytes], FrameCut]
@@ -62,12 +62,12 @@ class SerialPort:
         self.clock = clock
         self.name = name
         self.line_end = b"\n"  # of both directions; the driver of a device with another one sets it
-        self.longest_line = LONGEST_LINE  # and so many bytes are kept of a frame whose length is not known yet
-        self.rest_s = 0.0  # that the device needs between two writes, or it loses the second; `write` does not keep it
+        self.longest_line = LONGEST_LINE  # bytes kept of a line, and of a frame whose length is not known yet
+        self.rest_s = 0.0  # time between two writes, or the device loses the second; `write` does not wait for it
         self._line: SerialLine | None = None
         self._users = 0
         self._received = b""
-        self._heard = -math.inf  # when bytes came last, or the line was opened
+        self._heard = -math.inf  # time [s] at which bytes came last, or the line was opened
         self._wrote = -math.inf
 
     @property
@@ -100,7 +100,7 @@ class SerialPort:
         """Disconnect when the last user has closed the port."""
         self._users = max(0, self._users - 1)
         if self._users == 0:
-            self._shut()
+            self._disconnect()
 
     def reopen(self) -> None:
         """Replace a connection that may be dead by a new one.
@@ -109,7 +109,7 @@ class SerialPort:
         ------
         DeviceError : the device is absent or refuses.
         """
-        self._shut()
+        self._disconnect()
         self._open_line()
 
     def write(self, data: bytes) -> None:
@@ -123,11 +123,11 @@ class SerialPort:
             raise DeviceError(f"bus '{self.name}': not open")
         self._wrote = self.clock.now()
         try:
-            taken = self._line.write(data)
+            accepted = self._line.write(data)
         except OSError as error:
-            raise self._gone(error) from None
-        if taken < len(data):
-            raise DeviceError(f"bus '{self.name}': {len(data) - taken} of {len(data)} bytes were not taken")
+            raise self._gone_error(error) from None
+        if accepted < len(data):
+            raise DeviceError(f"bus '{self.name}': {len(data) - accepted} of {len(data)} bytes were not taken")
 
     def take_line(self) -> bytes | None:
         """The oldest complete line, without its end; None if there is none; never waits.
@@ -161,9 +161,9 @@ class SerialPort:
         self._receive(0.0)
         if not self._received or self.clock.now() - self._heard < seconds:
             return None
-        taken = self._received[-self.longest_line :]
+        accepted = self._received[-self.longest_line :]
         self._forget()
-        return taken
+        return accepted
 
     def wait(self, moment: float, framing: Framing | None = None) -> None:
         """Wait for a complete line, or a frame by this rule, at most until this moment on the clock.
@@ -172,7 +172,8 @@ class SerialPort:
         ------
         DeviceError : the line is closed or gone.
         """
-        while not self._complete(framing or self._by_line_end) and (seconds_left := moment - self.clock.now()) > 0.0:
+        rule = framing or self._by_line_end
+        while not self._frame_length(rule) and (seconds_left := moment - self.clock.now()) > 0.0:
             self._receive(seconds_left)
 
     def discard(self) -> None:
@@ -200,15 +201,15 @@ class SerialPort:
         return self.clock.now() - self._heard >= seconds
 
     def _take(self, framing: Framing) -> bytes | None:
-        length = self._complete(framing)
+        length = self._frame_length(framing)
         if not length:
             self._receive(0.0)
-            length = self._complete(framing)
-        taken, self._received = self._received[:length], self._received[length:]
-        return taken or None
+            length = self._frame_length(framing)
+        accepted, self._received = self._received[:length], self._received[length:]
+        return accepted or None
 
-    def _complete(self, framing: Framing) -> int:
-        """Length of the frame with which the bytes now begin, noise dropped; 0 if none is complete."""
+    def _frame_length(self, framing: Framing) -> int:
+        """Drop noise and return the length of the complete frame at the start of the bytes; 0 if there is none."""
         length = 0
         while self._received:
             noise, length = framing(self._received)
@@ -229,7 +230,7 @@ class SerialPort:
         try:
             read = self._line.read(timeout)
         except OSError as error:
-            raise self._gone(error) from None
+            raise self._gone_error(error) from None
         if read:
             self._received += read
             self._heard = self.clock.now()
@@ -241,7 +242,7 @@ class SerialPort:
             raise DeviceError(f"bus '{self.name}': {error}") from None
         self._heard = self.clock.now()
 
-    def _shut(self) -> None:
+    def _disconnect(self) -> None:
         self._forget()
         line, self._line = self._line, None
         if line is not None:
@@ -251,5 +252,5 @@ class SerialPort:
     def _forget(self) -> None:
         self._received = b""
 
-    def _gone(self, error: OSError) -> DeviceError:
+    def _gone_error(self, error: OSError) -> DeviceError:
         return DeviceError(f"bus '{self.name}': the device is gone: {error}")

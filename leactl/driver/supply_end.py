@@ -5,7 +5,7 @@ from collections import deque
 
 from leactl.driver.far_end import SupplyLoad
 
-REGULATE_S = 0.05  # the load's resistance changes within seconds
+REGULATE_S = 0.05  # time between two regulations; the load's resistance changes within seconds
 
 
 class SupplyEnd:
@@ -24,10 +24,10 @@ class SupplyEnd:
         self._regulates = 0.0
         self._regulate()
 
-    # -- what a bench may have go wrong ------------------------------------------------------------------------------
+    # -- faults that a bench may inject ------------------------------------------------------------------------------
 
     def stuck_on(self, admits: bool = True) -> None:
-        """Make the output stay on, as with a welded relay; `admits` says whether its state is told as on."""
+        """Make the output stay on, as with a welded relay; `admits` says whether it is reported as on."""
         self._stuck, self._admits = True, admits
 
     def lose_regulation(self, share: float) -> None:

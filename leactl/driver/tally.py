@@ -6,12 +6,12 @@ class Tally:
 
     def __init__(self) -> None:
         self.count = 0
-        self._next_told = 1
+        self._next_reported = 1
 
     def take_note(self) -> str:
         """Text with the count if it has reached the next power of ten since the last report; else empty."""
-        if self.count < self._next_told:
+        if self.count < self._next_reported:
             return ""
-        while self._next_told <= self.count:
-            self._next_told *= 10
+        while self._next_reported <= self.count:
+            self._next_reported *= 10
         return f"{self.count} so far"

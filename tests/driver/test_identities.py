@@ -75,4 +75,4 @@ def test_an_identity_of_another_kind_breaks_the_contract():
         def identity(self) -> str:
             return "a converter"
 
-    assert "identity does not answer an Identity" in conformance.faults_of(Vague)
+    assert "identity does not return an Identity" in conformance.faults_of(Vague)

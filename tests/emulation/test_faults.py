@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from leactl.bench import benchfile
-from leactl.driver.i2c_port import swapped
+from leactl.driver.i2c_port import swap_bytes
 from leactl.emulation.bench import emulated_bench
 from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.emulation.faults import check_faults, known_faults
@@ -94,9 +94,9 @@ class Bench(EmulatedBench):
     def torque_code(self):
         """One conversion of the torque sensor."""
         chip = self.i2c_buses["i2c1"]
-        chip.write_word_data(0x48, 1, swapped(START_TORQUE))
+        chip.write_word_data(0x48, 1, swap_bytes(START_TORQUE))
         self.wait(self.time.now() + 0.002)
-        code = swapped(chip.read_word_data(0x48, 0))
+        code = swap_bytes(chip.read_word_data(0x48, 0))
         return code - 0x10000 if code & 0x8000 else code
 
 

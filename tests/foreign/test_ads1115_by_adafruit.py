@@ -2,7 +2,7 @@
 
 import pytest
 
-from leactl.driver.i2c_port import swapped
+from leactl.driver.i2c_port import swap_bytes
 from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.wires.buses import EmulatedI2cBus
 from tests.driver.failing import FailingConverter
@@ -45,7 +45,7 @@ class Bus:
     def readfrom_into(self, address, buffer, *, start=0, end=None):
         """The value of the register that was meant last, its high byte first."""
         self._pass_time()
-        word = swapped(self.bus.read_word_data(address, self._pointer)).to_bytes(2, "big")
+        word = swap_bytes(self.bus.read_word_data(address, self._pointer)).to_bytes(2, "big")
         buffer[start:end] = word
 
     def writeto_then_readfrom(self, address, out, into, *, out_start=0, out_end=None, in_start=0, in_end=None):

@@ -13,7 +13,7 @@ from functools import partial
 import can
 
 from leactl.driver.far_end import LAST_OF_11_BITS, CanEmulator, FdFrame, Frame, I2cEmulator
-from leactl.driver.i2c_port import swapped
+from leactl.driver.i2c_port import swap_bytes
 from leactl.emulation.clock import EmulatedClock
 
 TICK_S = 1e-3
@@ -175,11 +175,11 @@ class EmulatedI2cBus:
 
     def read_word_data(self, i2c_addr: int, register: int) -> int:
         """Read a 16-bit register; the first byte on the wire is the low one of the word."""
-        return swapped(self._device(i2c_addr).read(register, self._clock.now()))
+        return swap_bytes(self._device(i2c_addr).read(register, self._clock.now()))
 
     def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
         """Write a 16-bit register; the low byte of the word is sent first."""
-        self._device(i2c_addr).write(register, swapped(value), self._clock.now())
+        self._device(i2c_addr).write(register, swap_bytes(value), self._clock.now())
 
     def close(self) -> None:
         """Do nothing: no connection is held."""

@@ -17,7 +17,7 @@ import can
 from leactl.bench.benchfile import BenchFile, CanBus, I2cBus, SerialBus, VisaBus
 from leactl.bench.wiring import MachineWiring
 from leactl.driver.far_end import StoreKeeper
-from leactl.driver.i2c_port import SmBus, swapped
+from leactl.driver.i2c_port import SmBus, swap_bytes
 from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.emulation.clock import EmulatedClock
 from leactl.emulation.wires.buses import CanWire, EmulatedCanBus, message_of
@@ -155,11 +155,11 @@ class StubChip:
 
     def read(self, register: int) -> int:
         """Read a register of the chip."""
-        return swapped(self._bus.read_word_data(self._address, register))
+        return swap_bytes(self._bus.read_word_data(self._address, register))
 
     def write(self, register: int, value: int) -> None:
         """Write a register of the chip."""
-        self._bus.write_word_data(self._address, register, swapped(value))
+        self._bus.write_word_data(self._address, register, swap_bytes(value))
 
     def carry(self, now: float) -> None:
         """Let the far end update the chip once; an unplugged chip is still there, but converts no more."""

@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, ClassVar
 
-from leactl.driver.answer_matching import Answers, Irregular
+from leactl.driver.answer_matching import Answers, IrregularAnswers
 from leactl.driver.can_port import NMT_ID, CanPort
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Driver, Identity, Mode, Row, StreamSpec, drive_channels
@@ -112,7 +112,7 @@ class _DriveCondition:
         self.rows: list[Row] = []
         self.notices: list[str] = []
         self.quiet_until = self.quiet_of_answers_until = -math.inf
-        self.shown = Irregular()
+        self.shown = IrregularAnswers()
         self.identity = Identity()
 
 

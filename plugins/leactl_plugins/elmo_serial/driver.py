@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, ClassVar
 
-from leactl.driver.answer_matching import Irregular
+from leactl.driver.answer_matching import IrregularAnswers
 from leactl.driver.clock import Clock
 from leactl.driver.contract import (
     Confirmation,
@@ -57,7 +57,7 @@ class _Record:
     """Notices, rows and counts of one opened drive for the run."""
 
     def __init__(self) -> None:
-        self.irregular, self.reported = Irregular(), Irregular()
+        self.irregular, self.reported = IrregularAnswers(), IrregularAnswers()
         self.notices: list[str] = []
         self.rows: list[Row] = []
         self.quiet_until = self.quiet_of_limits_until = self.quiet_of_outliers_until = -math.inf

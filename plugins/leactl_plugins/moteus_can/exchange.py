@@ -8,7 +8,7 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from leactl.driver.answer_matching import Irregular
+from leactl.driver.answer_matching import IrregularAnswers
 from leactl.driver.can_port import CanPort
 from leactl_plugins.moteus_can.multiplex import ControllerReply, Resolution, padded, read, write
 from leactl_plugins.moteus_can.registers import MODES, Register
@@ -46,7 +46,7 @@ class ControllerExchange:
 
     def begin(self) -> None:
         """Reset all counts."""
-        self.irregular, self._irregular_reported = Irregular(), Irregular()
+        self.irregular, self._irregular_reported = IrregularAnswers(), IrregularAnswers()
         self.unreadable, self._unreadable_reported, self._last_unreadable = 0, 0, ""
         self.second_controller = False
 

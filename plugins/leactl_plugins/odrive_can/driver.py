@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, ClassVar
 
-from leactl.driver.answer_matching import Answers, Irregular
+from leactl.driver.answer_matching import Answers, IrregularAnswers
 from leactl.driver.can_port import CanPort
 from leactl.driver.clock import Clock
 from leactl.driver.contract import Confirmation, Identity, Mode, Row, StreamSpec, drive_channels
@@ -91,7 +91,7 @@ class OdriveCan(EngagingDrive):
         self._bus_voltage_due = -math.inf
         self._rows: list[Row] = []
         self._answers = Answers(2)
-        self._reported, self._quiet_until = Irregular(), -math.inf
+        self._reported, self._quiet_until = IrregularAnswers(), -math.inf
         self._supervised = False  # whether `feed` was called since the last input, so that the next may be sent
         self._mode, self._reference, self._value = Mode.OFF, ANGLE, 0.0
         self._control_mode = self._input_mode = 0

@@ -15,7 +15,7 @@ from leactl.driver.far_end import SupplyLoad
 from leactl_plugins.scpi_supply.emulated_output import EmulatedOutput, NothingConnected, ProtectionState
 from leactl_plugins.scpi_supply.models import OUTPUTS, RANGES, TRACKING
 
-REGULATE_S = 0.05  # the load's resistance changes within seconds
+REGULATE_S = 0.05  # time between two regulations; the load's resistance changes within seconds
 MOST_INPUT = 512  # bytes of an unfinished message
 MOST_QUEUED = 20  # entries of the error queue
 UNLISTED_RATING = ((60.0, 60.0),)  # also of a DP800 with one output, whose range is set at the instrument
