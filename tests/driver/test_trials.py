@@ -151,7 +151,7 @@ class Unguarded(ElmoCan):
 class HoldsOldValues(ElmoCan):
     """Goes on with the last reading of a drive that has fallen silent."""
 
-    def _leave_empty(self, now):
+    def _clear_missing(self, now):
         self._answers.end(now)
 
 

@@ -13,19 +13,19 @@ from leactl_plugins.elmo_can.cia402 import FAULTS
 from leactl_plugins.elmo_can.sdo import Refused, Sdo
 from leactl_plugins.elmo_can.settings import ElmoSettings
 
-TURNED = 0xC0  # bits of 0x607E that turn position and velocity
-OF_32_BITS = (-0x80000000, 0x80000000)
+REVERSED_BITS = 0xC0  # of 0x607E, for position and velocity
+RANGE_OF_32_BITS = (-0x80000000, 0x80000000)
 ALL_MODES = 0xFFFFFFFF
-RESET_S = 0.5  # that a drive may take to leave its fault
-MOST_UNITS, FINEST_EXPONENT, COARSEST_EXPONENT = 255, -6, -2  # that 0x60C2 holds
-ON_CHANGE = 255  # transmission type of a TPDO that is sent when its content has changed
-INHIBIT_100US = 100  # 10 ms between two of them, for bits of a statusword may come and go with every sample
-INVALID, WITHOUT_REQUEST = 1 << 31, 1 << 30  # bits of a PDO's COB-ID (CiA 301, tables 66 and 71)
-MAKES_SYNC = 1 << 30  # bit of 0x1005
-# no such object, no such subindex, none for want of a resource, no data (CiA 301, table 22)
-ABSENT = (0x06020000, 0x06090011, 0x060A0023, 0x08000024)
-MOST_DOUBLED = 2  # answers that a bus may bring twice while some twenty are awaited
-CLOCK_EVERY = 10  # SYNCs, at which a drive tells its clock: a hundredth of the bus at 1 kHz
+RESET_S = 0.5  # time for a drive to leave its fault
+MOST_UNITS, FINEST_EXPONENT, COARSEST_EXPONENT = 255, -6, -2  # range of 0x60C2
+ON_CHANGE_TYPE = 255  # transmission type of a TPDO that is sent when its content has changed
+INHIBIT_TIME_100US = 100  # 10 ms between two such TPDOs, because bits of a statusword may toggle with every sample
+INVALID_BIT, NO_REMOTE_FRAME_BIT = 1 << 31, 1 << 30  # of a PDO's COB-ID (CiA 301, tables 66 and 71)
+PRODUCES_SYNC_BIT = 1 << 30  # of 0x1005
+# aborts of a drive without the object: no object, no subindex, no resource for it, no data (CiA 301, table 22)
+ABSENT_CODES = (0x06020000, 0x06090011, 0x060A0023, 0x08000024)
+MOST_DOUBLED_ANSWERS = 2  # that a bus may bring twice while about twenty are awaited
+CLOCK_PERIOD_SYNCS = 10  # between two frames with the drive's clock, which load the bus by a hundredth at 1 kHz
 
 
 def interpolation_time(period: float) -> tuple[int, int]:
@@ -46,7 +46,7 @@ def event_tpdo(settings: ElmoSettings) -> int | None:
     return free[0] if free else None
 
 
-def held(sdo: Sdo, index: int, sub: int, kind: str) -> int | None:
+def read_optional(sdo: Sdo, index: int, sub: int, kind: str) -> int | None:
     """Value of an optional object; None if the node lacks it.
 
     Raises
@@ -57,12 +57,12 @@ def held(sdo: Sdo, index: int, sub: int, kind: str) -> int | None:
     try:
         return sdo.read(index, sub, kind)
     except Refused as refusal:
-        if refusal.code in ABSENT:
+        if refusal.code in ABSENT_CODES:
             return None
         raise
 
 
-def optional_number(sdo: Sdo, index: int, sub: int) -> int | None:
+def read_optional_u32(sdo: Sdo, index: int, sub: int) -> int | None:
     """Read an optional number of 32 bits; None if the node refuses for any reason, or answers another length.
 
     Raises
@@ -93,10 +93,10 @@ def identity_of(sdo: Sdo) -> Identity:
     """
     name, hardware, software = (_text(sdo, index) for index in (0x1008, 0x1009, 0x100A))
     model = f"{name}, hardware {hardware}" if name and hardware else name
-    serial = optional_number(sdo, 0x1018, 4)
+    serial = read_optional_u32(sdo, 0x1018, 4)
     if not model:
         kind, product, revision = (
-            optional_number(sdo, index, sub) or 0 for index, sub in ((0x1000, 0), (0x1018, 2), (0x1018, 3))
+            read_optional_u32(sdo, index, sub) or 0 for index, sub in ((0x1000, 0), (0x1018, 2), (0x1018, 3))
         )
         model = f"CiA {kind & 0xFFFF} product 0x{product:08X}, revision 0x{revision:08X}" if product else ""
     return Identity(model, str(serial or ""), software)
@@ -125,7 +125,7 @@ class Commissioning:
 
     def check_alone(self) -> None:
         """Raise DeviceError if two devices have the node number, so that every request was answered twice."""
-        if self._sdo.surplus > MOST_DOUBLED:
+        if self._sdo.surplus > MOST_DOUBLED_ANSWERS:
             raise DeviceError(
                 f"{self._name}: two devices answer as node {self._settings.node}: connect one of them alone and"
                 " give it another number"
@@ -135,9 +135,9 @@ class Commissioning:
         """Return name, serial number and software version; a field that the drive lacks is empty."""
         return identity_of(self._sdo)
 
-    def _number(self, index: int, sub: int, kind: str = "u32") -> int:
+    def _read_or_zero(self, index: int, sub: int, kind: str = "u32") -> int:
         """Value of an optional object; 0 if the drive lacks it. Raises NoAnswer if the drive does not answer."""
-        return held(self._sdo, index, sub, kind) or 0
+        return read_optional(self._sdo, index, sub, kind) or 0
 
     def disable_voltage(self) -> None:
         """Take the drive out of operation, in which an earlier program may have left it."""
@@ -204,15 +204,15 @@ class Commissioning:
         DeviceError : polarity, user units or counts of a turn contradict the settings; with both values.
         """
         settings = self._settings
-        polarity = self._number(0x607E, 0, "u8")
-        if polarity & TURNED:
+        polarity = self._read_or_zero(0x607E, 0, "u8")
+        if polarity & REVERSED_BITS:
             raise DeviceError(
                 f"{self._name}: its polarity 0x607E is 0x{polarity:02X}, so that position or velocity count against its"
                 " current; 0x00 was expected: write that, and turn the sense by the setting `sign`"
             )
         ratios = {}
         for index in (0x608F, 0x6091, 0x6092):
-            numerator, denominator = self._number(index, 1), self._number(index, 2)
+            numerator, denominator = self._read_or_zero(index, 1), self._read_or_zero(index, 2)
             ratios[index] = numerator / denominator if numerator and denominator else 1.0
         units = ratios[0x6092] / (ratios[0x608F] * ratios[0x6091])
         if units != 1.0:
@@ -222,7 +222,7 @@ class Commissioning:
             )
         for source, counts in (
             ("0x608F", ratios[0x608F]),
-            ("CA[18], 0x3034:18", optional_number(self._sdo, 0x3034, 18) or 0),
+            ("CA[18], 0x3034:18", read_optional_u32(self._sdo, 0x3034, 18) or 0),
         ):
             if counts > 1 and counts != settings.counts_per_turn:
                 raise DeviceError(
@@ -238,21 +238,22 @@ class Commissioning:
         DeviceError : an offset reads back as another value.
         """
         for index, kind in ((0x60B0, "i32"), (0x60B1, "i32"), (0x60B2, "i16")):
-            if held(self._sdo, index, 0, kind):  # a firmware without it adds nothing
+            if read_optional(self._sdo, index, 0, kind):  # a firmware without the object adds nothing
                 self._sdo.write_verified(index, 0, kind, 0)
 
     def position_range(self) -> tuple[int, int]:
         """Range of the drive's position [counts]: lowest, and highest plus one (CiA 402, 0x607B)."""
-        low, high = (self._number(0x607B, sub, "i32") for sub in (1, 2))
-        return (low, high) if low < high else OF_32_BITS
+        low, high = (self._read_or_zero(0x607B, sub, "i32") for sub in (1, 2))
+        return (low, high) if low < high else RANGE_OF_32_BITS
 
     def setpoint_time(self) -> SetpointTime:
         """Read the drive's values of the time between two setpoints (CiA 402, 0x60C2; CiA 301, 0x1006)."""
-        units, exponent = held(self._sdo, 0x60C2, 1, "u8"), held(self._sdo, 0x60C2, 2, "i8")
-        makes_sync = (optional_number(self._sdo, 0x1005, 0) or 0) & MAKES_SYNC  # with this period, unless it is 0
+        units, exponent = read_optional(self._sdo, 0x60C2, 1, "u8"), read_optional(self._sdo, 0x60C2, 2, "i8")
+        # a drive that makes the SYNC uses 0x1006 as its period
+        makes_sync = (read_optional_u32(self._sdo, 0x1005, 0) or 0) & PRODUCES_SYNC_BIT
         return SetpointTime(
             None if units is None or exponent is None else (units, exponent),
-            None if makes_sync else optional_number(self._sdo, 0x1006, 0),
+            None if makes_sync else read_optional_u32(self._sdo, 0x1006, 0),
         )
 
     def expect_setpoints_every(self, period: float, before: SetpointTime) -> None:
@@ -292,7 +293,7 @@ class Commissioning:
 
     def supported_modes(self) -> int:
         """Bits of the supported modes (0x6502, bit 0 is mode 1); all bits if the drive lacks the object."""
-        return optional_number(self._sdo, 0x6502, 0) or ALL_MODES
+        return read_optional_u32(self._sdo, 0x6502, 0) or ALL_MODES
 
     def arm_dead_man(self) -> None:
         """Make the drive stop by itself when the host's heartbeat stays away (301IG, chapter 14).
@@ -338,18 +339,17 @@ class Commissioning:
         clock = self._settings.drive_clock
         if clock is not None:
             mapped.add(0x1803)
-            self._map(0x1803, 0x1A03, 0x480 + node, (clock.index << 16 | clock.subindex << 8 | 32,), CLOCK_EVERY)
+            self._map(0x1803, 0x1A03, 0x480 + node, (clock.index << 16 | clock.subindex << 8 | 32,), CLOCK_PERIOD_SYNCS)
         number = event_tpdo(self._settings)
         if number is not None:
             mapped.add(0x1800 + number)
-            self._map(
-                0x1800 + number, 0x1A00 + number, 0x180 + 0x100 * number + node, (0x60410010,), ON_CHANGE, INHIBIT_100US
-            )
+            event_identifier, entries = 0x180 + 0x100 * number + node, (0x60410010,)
+            self._map(0x1800 + number, 0x1A00 + number, event_identifier, entries, ON_CHANGE_TYPE, INHIBIT_TIME_100US)
         unused = {0x1402, 0x1403, 0x1802, 0x1803} - mapped
         for communication in sorted(unused):
-            identifier = held(self._sdo, communication, 1, "u32")
-            if identifier is not None and not identifier & INVALID:
-                self._sdo.write(communication, 1, "u32", INVALID | identifier)
+            identifier = read_optional(self._sdo, communication, 1, "u32")
+            if identifier is not None and not identifier & INVALID_BIT:
+                self._sdo.write(communication, 1, "u32", INVALID_BIT | identifier)
         if self._settings.torque_slope_per_mille_s is not None:
             self._sdo.write_verified(0x6087, 0, "u32", self._settings.torque_slope_per_mille_s)
 
@@ -366,8 +366,8 @@ class Commissioning:
 
         The bit that allows remote frames stays as it is: a drive without remote frames refuses a change.
         """
-        identifier |= self._sdo.read(communication, 1, "u32") & WITHOUT_REQUEST
-        self._sdo.write(communication, 1, "u32", INVALID | identifier)
+        identifier |= self._sdo.read(communication, 1, "u32") & NO_REMOTE_FRAME_BIT
+        self._sdo.write(communication, 1, "u32", INVALID_BIT | identifier)
         self._sdo.write(communication, 2, "u8", kind)
         if inhibit is not None:
             self._sdo.write(communication, 3, "u16", inhibit)

@@ -21,16 +21,16 @@ from leactl.quantities import ChannelSpec
 from leactl_plugins.elmo.scales import CountedPosition
 from leactl_plugins.elmo_can import cia402, emergency
 from leactl_plugins.elmo_can.cia402 import FAULTS, DriveState
-from leactl_plugins.elmo_can.commissioning import ALL_MODES, OF_32_BITS, Commissioning, SetpointTime, event_tpdo
+from leactl_plugins.elmo_can.commissioning import ALL_MODES, RANGE_OF_32_BITS, Commissioning, SetpointTime, event_tpdo
 from leactl_plugins.elmo_can.probe import ElmoProbe
 from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import ElmoSettings
 
 NMT_START, NMT_PRE_OPERATIONAL = 0x01, 0x80
-BOOTED, OPERATIONAL = 0x00, 0x05
+BOOT_UP, OPERATIONAL = 0x00, 0x05
 NETWORK_STATES = {0x00: "boot-up", 0x04: "stopped", 0x7F: "pre-operational"}
 INTERNAL_LIMIT = 0x0800  # statusword bit 11
-QUIET_S = 1.0  # at most one notice in this time: a drive at its limit may go in and out of it every cycle
+NOTICE_PERIOD_S = 1.0  # at most one notice in this time: a drive at its limit may go in and out of it every cycle
 MODES = {Mode.OFF: 0, Mode.TORQUE_PROFILE: 4, Mode.ANGLE: 8, Mode.VELOCITY: 9, Mode.CURRENT: 10}
 CURRENT, VELOCITY, ANGLE = range(3)  # indices of the references in `values`
 REFERENCES = {
@@ -44,19 +44,19 @@ REFERENCES = {
 STATUS, MOTION, VOLTAGE = range(3)  # the TPDOs that answer every SYNC
 OFF, ENABLED = Mode.OFF, DriveState.ENABLED
 DISABLE_VOLTAGE, ENABLE_OPERATION = cia402.DISABLE_VOLTAGE, cia402.ENABLE_OPERATION
-ENABLE_TIME_S = 2.0
+ENABLE_TIME_S = 2.0  # time for the drive to enter operation
 DISABLE_VOLTAGE_BY_SDO = bytes.fromhex("2b40600000000000")
 BUS_VOLTAGE = bytes.fromhex("796000")  # index and subindex in an SDO frame
 READ_BUS_VOLTAGE = bytes.fromhex("4079600000000000")
 STO_STATUS = bytes.fromhex("862000")  # of the safe torque off (Elmo's Gold EDS)
 READ_STO_STATUS = bytes.fromhex("4086200000000000")
 # first byte of an answer with four bytes; 0x42 does not state their number (CiA 301, 7.2.4.3.5)
-FOUR_BYTES = (0x43, 0x42)
-DOWNLOADS = (1, 6)  # first three bits of a client's request to write: at once or in segments, and in blocks
-APART_S = 0.02  # between two SDO requests, since a drive takes one at a time
+FOUR_BYTE_COMMANDS = (0x43, 0x42)
+DOWNLOAD_COMMANDS = (1, 6)  # first three bits of a client's request to write: at once or in segments, and in blocks
+SDO_PAUSE_S = 0.02  # time between two SDO requests, because a drive takes one at a time
 NAN, NEVER = math.nan, -math.inf
-LATE_S = 0.05  # allowed delay of an answer: the age that the supervisor allows a reading at 60 Hz and above
-CLOCKS_APART = 2e-4  # s/s, by which the drive's clock may be faster than the host's
+LONGEST_DELAY_S = 0.05  # of an answer; the supervisor allows a reading this age at 60 Hz and above
+MOST_CLOCK_DRIFT = 2e-4  # s/s, by which the drive's clock may be faster than the host's
 
 _torque_demand = struct.Struct("<Hhb")
 _motion_demand = struct.Struct("<ii")
@@ -64,7 +64,7 @@ _status = struct.Struct("<Hbhh")
 _motion = struct.Struct("<ii")
 
 
-class _Lateness:
+class _AnswerDelay:
     """Delay of the drive's answers beyond the shortest one, by the drive's own clock."""
 
     def __init__(self) -> None:
@@ -72,14 +72,15 @@ class _Lateness:
         self._least, self._late = math.inf, 0
 
     def see(self, clock: int, now: float) -> float:
-        """Delay of an answer that arrived now [s], if it and the one before exceed `LATE_S`; else 0."""
+        """Delay of an answer that arrived now [s], if it and the one before exceed `LONGEST_DELAY_S`; else 0."""
         elapsed_us = (clock - self._clock + 0x80000000 & 0xFFFFFFFF) - 0x80000000 if self._at == self._at else clock
         elapsed_s = now - self._at if self._at == self._at else 0.0
         self._clock, self._at = self._clock + elapsed_us, now
         behind = now - 1e-6 * self._clock
-        self._least = min(self._least + CLOCKS_APART * elapsed_s, behind)
+        self._least = min(self._least + MOST_CLOCK_DRIFT * elapsed_s, behind)
         late = behind - self._least
-        self._late = self._late + 1 if late > LATE_S else 0  # a single late answer may be due to a delay of the host
+        # a single late answer may be due to a delay of the host
+        self._late = self._late + 1 if late > LONGEST_DELAY_S else 0
         return late if self._late >= 2 else 0.0
 
 
@@ -87,32 +88,32 @@ class _SignsOfLife:
     """Times [s] of the drive's last heartbeat and of the frames that are sent more slowly than the cycle."""
 
     def __init__(self) -> None:
-        self.lateness = _Lateness()
-        self.heard_until = NEVER  # until then its last heartbeat is valid
-        self.fed = NEVER  # when the host's heartbeat was last sent
-        self.asked = NEVER  # when the bus voltage was last requested
-        self.due = NEVER  # when `feed` has to send next
+        self.answer_delay = _AnswerDelay()
+        self.heard_until = NEVER  # end of the validity of its last heartbeat
+        self.fed = NEVER  # the host's last heartbeat
+        self.asked = NEVER  # the last request of the bus voltage
+        self.due = NEVER  # the next frame that `feed` sends
 
 
 class _DriveCondition:
     """State of a drive that is read and commanded more rarely than every cycle."""
 
     def __init__(self) -> None:
-        self.started = False  # the node was commanded to start
-        self.operational = False  # and has since reported to be operational
-        self.most_per_mille = 0  # of its rated current, the highest that it allows
+        self.started = False  # whether the node was commanded to start
+        self.operational = False  # whether it has reported to be operational since
+        self.most_per_mille = 0  # highest current that it allows, in per mille of its rated current
         self.modes = ALL_MODES  # bits of its supported modes
         self.voltage_refused = False  # 0x6079 was not answered by four bytes
-        self.sto_asked = False  # since it was commanded to enter operation
+        self.sto_asked = False  # whether 0x2086 was requested since it was commanded to enter operation
         self.sto_status: int | None = None  # 0x2086, once it was answered
         self.of_other_master = ""  # description of another master's action
         self.is_read_by_others = False
-        self.safe = False  # it has confirmed to be safe, and got no demand since
-        self.setpoint_time: SetpointTime | None = None  # before `pace` changed it
+        self.safe = False  # whether it has confirmed to be safe, and got no demand since
+        self.setpoint_time: SetpointTime | None = None  # the drive's own, before `pace` changed it
         self.rows: list[Row] = []
         self.notices: list[str] = []
         self.quiet_until = self.quiet_of_answers_until = -math.inf
-        self.shown = IrregularAnswers()
+        self.reported_irregular = IrregularAnswers()
         self.identity = Identity()
 
 
@@ -142,10 +143,10 @@ class ElmoCan(Driver):
         self._shown_mode = 0
         self._turn_to(Mode.OFF)
         self._enable_by = math.inf
-        self._answers = self._answers_to_come()
+        self._answers = self._expected_answers()
         self._emergency = ""
         self._life = _SignsOfLife()
-        self._position = CountedPosition(*OF_32_BITS)
+        self._position = CountedPosition(*RANGE_OF_32_BITS)
         self._condition = _DriveCondition()
         self._followed = self._follows
         self.values = [NAN] * len(self.loop_channels)
@@ -169,7 +170,7 @@ class ElmoCan(Driver):
                 continue
             state = cia402.state_of(word)
             if state not in (DriveState.ENABLED, DriveState.QUICK_STOP, DriveState.FAULT_REACTION):
-                self._show(word, self._shown_mode)
+                self._take_status(word, self._shown_mode)
                 self._condition.safe = True
                 return Confirmation(True, f"{state}, statusword 0x{word:04X}")
             reason = f"still {state}, statusword 0x{word:04X}"
@@ -210,9 +211,9 @@ class ElmoCan(Driver):
             `DeviceFault` if it is in fault.
         """
         self._condition = _DriveCondition()
-        self._sdo.surplus = 0  # what came before is of another start, or of a stop that awaits no answer
+        self._sdo.surplus = 0  # earlier answers belong to another start, or to a stop that awaits none
         self._connect()
-        self._emergency = ""  # of a drive that is in fault still, its state tells
+        self._emergency = ""  # if the drive is still in fault, its state says so
         setup = self._setup()
         try:
             setup.check_identity()
@@ -233,8 +234,8 @@ class ElmoCan(Driver):
         setup.arm_dead_man()
         # what was sent before counts no more: writing 0x1016 ends the monitoring
         self._life.fed = self._life.due = NEVER
-        self._life.lateness = _Lateness()
-        self._answers = self._answers_to_come()
+        self._life.answer_delay = _AnswerDelay()
+        self._answers = self._expected_answers()
         self._nmt(NMT_PRE_OPERATIONAL)
         setup.map_pdos()
         setup.start_heartbeat()
@@ -252,14 +253,14 @@ class ElmoCan(Driver):
         """Stop listening and close the bus; a safe drive gets its setpoint time back and its monitoring ends."""
         if self._opened:
             if self._condition.safe and self._condition.started:
-                with suppress(DeviceError):  # it is safe, which is what counts
-                    self._leave_as_met()
+                with suppress(DeviceError):  # the drive is safe; settings that stay changed do no harm
+                    self._restore_settings()
             self._opened = False
             for identifier in self._identifiers():
                 self._port.listen(identifier, None)
             self._port.close()
 
-    def _leave_as_met(self) -> None:
+    def _restore_settings(self) -> None:
         setup = self._setup()
         setup.disarm_dead_man()
         if self._condition.setpoint_time is not None:
@@ -335,7 +336,7 @@ class ElmoCan(Driver):
         if by_current:
             scale, limit = self._current_per_mille, self._condition.most_per_mille
         elif self._mode is Mode.ANGLE:
-            limit, origin = self._position.half - 1, self._position.counts  # half a round is the furthest it can tell
+            limit, origin = self._position.half - 1, self._position.counts  # unwrapping fails beyond half a round
         demand = value / scale
         if not -limit <= demand - origin <= limit:
             reach = limit * abs(scale)
@@ -380,7 +381,7 @@ class ElmoCan(Driver):
             )
         word = cia402.towards_enabled(self.state)
         if word == ENABLE_OPERATION and self._shown_mode != self._mode_number:
-            return cia402.SWITCH_ON  # it would follow the last demand of the mode before
+            return cia402.SWITCH_ON  # enabled now, it would follow the last demand of the mode before
         return word
 
     def end_cycle(self, deadline: float) -> None:
@@ -400,13 +401,13 @@ class ElmoCan(Driver):
         values[6] = 1.0 if engaged else 0.0
         now = self._clock.now()
         if not came or answers.watched:
-            self._leave_empty(now)
+            self._clear_missing(now)
         if engaged and now <= self._life.heard_until and not self._emergency:
-            self._enable_by = NEVER  # from here on, leaving operation is the drive's own doing
+            self._enable_by = NEVER  # from now on, only the drive itself can leave operation
         else:
-            self._judge(now)
+            self._check_operation(now)
 
-    def _leave_empty(self, now: float) -> None:
+    def _clear_missing(self, now: float) -> None:
         """Set values to NaN that are not known to answer this cycle's SYNC."""
         values = self.values
         status, motion, voltage = self._answers.end(now)
@@ -430,7 +431,7 @@ class ElmoCan(Driver):
         if now - life.asked >= settings.bus_voltage_period_s:
             life.asked = now
             self._port.send(0x600 + self._node, READ_BUS_VOLTAGE)
-        self._answers.watched = True  # before the next SYNC: an answer that came twice would put every later one off
+        self._answers.watched = True  # from the next SYNC on: an answer that came twice would shift all later ones
         life.due = min(life.fed + period, life.asked + settings.bus_voltage_period_s)
 
     def notices(self) -> list[str]:
@@ -440,9 +441,9 @@ class ElmoCan(Driver):
         """
         condition, irregular = self._condition, self._answers.irregular
         now = self._clock.now()
-        if irregular != condition.shown and (now >= condition.quiet_of_answers_until or self._mode is OFF):
-            condition.quiet_of_answers_until = now + QUIET_S
-            condition.shown = replace(irregular)
+        if irregular != condition.reported_irregular and (now >= condition.quiet_of_answers_until or self._mode is OFF):
+            condition.quiet_of_answers_until = now + NOTICE_PERIOD_S
+            condition.reported_irregular = replace(irregular)
             condition.notices.append(str(irregular))
         notices, condition.notices = condition.notices + self._port.notices(), []
         return notices
@@ -501,7 +502,7 @@ class ElmoCan(Driver):
     def _nmt(self, command: int) -> None:
         self._port.send(NMT_ID, bytes((command, self._node)))
 
-    def _answers_to_come(self) -> Answers:
+    def _expected_answers(self) -> Answers:
         """Counter of the answers to SYNCs: status, motion and, if mapped, voltage."""
         return Answers(2 if self.settings.q_axis_voltage is None else 3)
 
@@ -510,11 +511,11 @@ class ElmoCan(Driver):
         self._reference: int = REFERENCES[mode]
         scale = self._current_per_mille if self._reference == CURRENT else self._angle_per_count
         self._scale = NAN if mode is Mode.OFF else scale  # A, rad/s or rad per unit of the drive's demand
-        # current, velocity and angle that this mode's demands stand for
+        # the demand as current, velocity and angle; NaN for those that the mode does not command
         self._follows: list[float] = [NAN, NAN, NAN]
-        self._show(self.statusword, self._shown_mode)
+        self._take_status(self.statusword, self._shown_mode)
 
-    def _show(self, statusword: int, mode_number: int) -> None:
+    def _take_status(self, statusword: int, mode_number: int) -> None:
         """Store the drive's state; it is engaged if operation is enabled in the demanded mode."""
         self.statusword, self.state, self._shown_mode = statusword, cia402.state_of(statusword), mode_number
         self.engaged = self._mode is not OFF and self.state is ENABLED and mode_number == self._mode_number
@@ -527,7 +528,7 @@ class ElmoCan(Driver):
         self._port.send(0x200 + self._node, _torque_demand.pack(word, torque, self._mode_number))
         if (reference == CURRENT and word == ENABLE_OPERATION) or self._mode is OFF or not self._position.located:
             return
-        # on the way into operation in every mode: what another master has left there must not be followed for a moment
+        # in every mode until the drive is in operation, so that it never follows a target left by another master
         position = self._position
         angle = value if reference == ANGLE else position.counts
         velocity = value if reference == VELOCITY else 0
@@ -536,10 +537,10 @@ class ElmoCan(Driver):
     def _on_status(self, data: bytearray, _timestamp: float) -> None:
         if len(data) == 7:
             word, mode_number, _torque, current = _status.unpack(data)
-            if word != self.statusword or mode_number != self._shown_mode:  # the newest that is known, late or not
+            if word != self.statusword or mode_number != self._shown_mode:  # also of a late answer: it is the newest
                 if word & ~self.statusword & INTERNAL_LIMIT:
                     self._note_limiting(word)
-                self._show(word, mode_number)
+                self._take_status(word, mode_number)
             answers = self._answers
             if answers.watched and not answers.take(STATUS, self._clock.now()):
                 return
@@ -594,28 +595,29 @@ class ElmoCan(Driver):
 
     def _on_clock(self, data: bytearray, _timestamp: float) -> None:
         if self.settings.drive_clock is not None and len(data) == 4:
-            late = self._life.lateness.see(int.from_bytes(data, "little"), self._clock.now())
+            late = self._life.answer_delay.see(int.from_bytes(data, "little"), self._clock.now())
             if late:
-                self._emergency = f"its answers are {late:.3f} s late by its own clock; {LATE_S:g} s are allowed"
+                self._emergency = (
+                    f"its answers are {late:.3f} s late by its own clock; {LONGEST_DELAY_S:g} s are allowed"
+                )
 
     def _on_change(self, data: bytearray, _timestamp: float) -> None:
         """Notice a change of state between two SYNCs, after which a held controlword would enable the drive again."""
         state = cia402.state_of(int.from_bytes(data, "little"))
         has_left_operation = self._enable_by == NEVER and self._mode is not OFF and state is not ENABLED
-        if (
-            has_left_operation and state not in FAULTS and not self._emergency
-        ):  # a fault keeps, and its emergency message tells more
+        # a fault stays, and its emergency message says more
+        if has_left_operation and state not in FAULTS and not self._emergency:
             self._emergency = f"left operation by itself, {state}, statusword 0x{int.from_bytes(data, 'little'):04X}"
 
     def _on_other_host(self, _data: bytearray, _timestamp: float) -> None:
         """Report a heartbeat with the host's node from another device."""
         node = self.settings.host_node
-        self._accuse(
+        self._report_other_master(
             f"another device sends heartbeats as node {node} (0x{0x700 + node:03X}), so that the drive would not notice"
             " the host's end; give host_node a number that no device on the bus has"
         )
 
-    def _accuse(self, text: str) -> None:
+    def _report_other_master(self, text: str) -> None:
         """End the run, or refuse the start, because of what another master does.
 
         Resetting a fault does not excuse it.
@@ -625,7 +627,7 @@ class ElmoCan(Driver):
 
     def _on_other_demand(self, data: bytearray, _timestamp: float) -> None:
         """Report a demand of another master, which the drive may have followed."""
-        self._accuse(
+        self._report_other_master(
             f"another master on the bus sends demands to node {self._node} ({bytes(data).hex() or 'an empty PDO'})"
         )
 
@@ -633,8 +635,8 @@ class ElmoCan(Driver):
         """Report another master's SDO: a write ends the run, a read is reported once."""
         condition = self._condition
         shown = f"by SDO ({bytes(data).hex() or 'empty'})"
-        if data and data[0] >> 5 in DOWNLOADS:
-            self._accuse(f"another master on the bus writes to node {self._node} {shown}")
+        if data and data[0] >> 5 in DOWNLOAD_COMMANDS:
+            self._report_other_master(f"another master on the bus writes to node {self._node} {shown}")
         elif not condition.is_read_by_others:
             condition.is_read_by_others = True
             condition.notices.append(
@@ -642,7 +644,7 @@ class ElmoCan(Driver):
             )
 
     def _on_sdo(self, data: bytearray, timestamp: float) -> None:
-        has_four = len(data) == 8 and data[0] in FOUR_BYTES
+        has_four = len(data) == 8 and data[0] in FOUR_BYTE_COMMANDS
         if data[1:4] == STO_STATUS:
             if has_four:
                 self._condition.sto_status = int.from_bytes(data[4:8], "little")
@@ -665,7 +667,7 @@ class ElmoCan(Driver):
         if state == OPERATIONAL:
             condition.operational = condition.started
             self._hear()
-        elif condition.started and (condition.operational or state == BOOTED) and not self._emergency:
+        elif condition.started and (condition.operational or state == BOOT_UP) and not self._emergency:
             shown = NETWORK_STATES.get(state, f"heartbeat {bytes(data).hex() or 'empty'}")
             self._emergency = f"node {self._node} rebooted or left the operational state ({shown})"
 
@@ -679,14 +681,14 @@ class ElmoCan(Driver):
     def _note_limiting(self, word: int) -> None:
         now, condition = self._clock.now(), self._condition
         if now >= condition.quiet_until:
-            condition.quiet_until = now + QUIET_S
+            condition.quiet_until = now + NOTICE_PERIOD_S
             condition.notices.append(f"the drive limits its demand by itself (bit 11 of statusword 0x{word:04X})")
 
     def _on_emergency(self, data: bytearray, _timestamp: float) -> None:
         if len(data) != emergency.LENGTH or emergency.code_of(data) != emergency.CODE_RESET:
             self._emergency = emergency.describe(data)
 
-    def _judge(self, now: float) -> None:
+    def _check_operation(self, now: float) -> None:
         """Raise the reason why the drive is not in operation although it should be."""
         if self._emergency:
             raise DeviceFault(f"{self.name}: {self._emergency}")
@@ -701,9 +703,9 @@ class ElmoCan(Driver):
             raise DeviceFault(
                 f"{self.name}: left operation by itself, {self.state}, statusword 0x{self.statusword:04X}"
             )
-        condition = self._condition
-        if now > self._enable_by - ENABLE_TIME_S / 2 and not condition.sto_asked and now > self._life.asked + APART_S:
-            condition.sto_asked, self._life.asked = True, now
+        condition, life = self._condition, self._life
+        if now > self._enable_by - ENABLE_TIME_S / 2 and not condition.sto_asked and now > life.asked + SDO_PAUSE_S:
+            condition.sto_asked, life.asked = True, now
             self._port.send(0x600 + self._node, READ_STO_STATUS)
         if now > self._enable_by:
             text = f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {self.state}, 0x{self.statusword:04X}"

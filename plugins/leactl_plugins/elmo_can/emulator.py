@@ -29,10 +29,10 @@ _FOLLOW = {4: "current", 8: "angle", 9: "velocity", 10: "current"}
 _WORD = {"disabled": 0x0240, "ready": 0x0231, "on": 0x0233, "enabled": 0x0637, "quick": 0x0617, "fault": 0x0218}
 _INTERNAL_LIMIT = 0x0800
 _POSITION_TURNED, _VELOCITY_TURNED = 0x80, 0x40  # bits of 0x607E (CiA 402, polarity)
-# nothing is measured for these
+# objects whose values no measurement changes
 _COMMUNICATION = {0x1005, 0x1006, *range(0x1400, 0x1404), *range(0x1800, 0x1804)}
 _SETTINGS = _COMMUNICATION | {0x607B, 0x607E, 0x608F, 0x6091, 0x6092, 0x60B0, 0x60B1, 0x60B2, 0x60C2, 0x6502}
-_ON_CHANGE = 254  # from this transmission type on
+_ON_CHANGE_TYPE = 254  # lowest transmission type of a TPDO that is sent on a change
 _ABORT_BAD_COMMAND = 0x05040001
 _FOREIGN_COB_MASK = 0x7FF
 _CONTROLWORD = (0x6040, 0)
@@ -77,10 +77,10 @@ class ElmoEmulator:
         self._values[0x6075, 0] = self._values[0x6076, 0] = rated_current_ma
         self.nmt = PRE_OPERATIONAL
         self.state = "disabled"
-        self._limiting = False  # the current, to less than was asked for
+        self._limiting = False  # whether it limits the demanded current
         self.frozen = False  # a drive that has stopped answering
         self._pending: dict[int, bytes] = {}
-        self._text: bytes | None = None  # what is left to send of one
+        self._text: bytes | None = None  # rest of a text that is not sent yet
         self._receive: list[_Pdo] = []
         self._transmit: list[_Pdo] = []
         self._next_heartbeat = math.inf
@@ -104,9 +104,9 @@ class ElmoEmulator:
         if self.frozen:
             return []
         if not self._booted:
-            return [*self.tick(now), *self.receive(frame, now)]  # it answers nobody before it has booted
+            return [*self.tick(now), *self.receive(frame, now)]  # no answer before it has booted
         answers = self._answer(frame, now)
-        return answers + self._tell_changes() if self._changed else answers
+        return answers + self._report_changes() if self._changed else answers
 
     def _answer(self, frame: Frame, now: float) -> list[Frame]:
         identifier, data = frame
@@ -133,7 +133,7 @@ class ElmoEmulator:
             frames.append(Frame(0x700 + self.node, bytes((self.nmt,))))
             period = self._values[0x1017, 0] * 1e-3
             self._next_heartbeat = max(self._next_heartbeat + period, now)
-        return frames + self._flush() + self._tell_changes()
+        return frames + self._flush() + self._report_changes()
 
     def is_sign_of_life(self, frame: Frame) -> bool:
         """Whether a frame is a heartbeat (CiA 301: function code 1110b)."""
@@ -372,7 +372,7 @@ class ElmoEmulator:
     def _shown_mode(self) -> int:
         return self._values[0x6060, 0]
 
-    def _tell_changes(self) -> list[Frame]:
+    def _report_changes(self) -> list[Frame]:
         """TPDOs that are sent on a change instead of at a SYNC (types 254 and 255)."""
         changed, self._changed = self._changed, False
         if not changed or self.nmt != OPERATIONAL:
@@ -381,7 +381,7 @@ class ElmoEmulator:
         return [
             Frame(identifier, layout.pack(*[self._values[key] for key in objects]))
             for identifier, kind, objects, layout in self._transmit
-            if kind >= _ON_CHANGE
+            if kind >= _ON_CHANGE_TYPE
         ]
 
     def _control(self, previous: int, word: int) -> None:
@@ -421,7 +421,7 @@ class ElmoEmulator:
         values = self._values
         mode = _FOLLOW.get(self._shown_mode)
         offset = {"current": 0x60B2, "velocity": 0x60B1, "angle": 0x60B0}.get(mode or "")
-        added = values.get((offset, 0), 0) if offset else 0  # whoever has set it (CiA 402, 6.3.2 and 6.4)
+        added = values.get((offset, 0), 0) if offset else 0  # by any master (CiA 402, 6.3.2 and 6.4)
         if mode is None:
             self._machine.command("off", 0.0)
         elif mode == "current":

@@ -8,7 +8,7 @@ from leactl.driver.can_port import NMT_ID, SYNC_ID, CanPort
 from leactl.driver.far_end import Frame
 from leactl.driver.probe import CanProbe, Seen, Sighting
 from leactl.errors import NoAnswer
-from leactl_plugins.elmo_can.commissioning import identity_of, optional_number
+from leactl_plugins.elmo_can.commissioning import identity_of, read_optional_u32
 from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import NODES, ElmoSettings, identifiers_of
 
@@ -16,12 +16,12 @@ REQUEST, ANSWER, HEARTBEAT = 0x600, 0x580, 0x700  # identifiers, each plus the n
 NETWORK_STATES = (0x00, 0x04, 0x05, 0x7F)
 READ_DEVICE_TYPE = bytes.fromhex("4000100000000000")  # 0x1000:0, which every node has
 UPLOADED, ABORTED = 0x43, 0x80
-INITIATES = (0x40, 0x21, 0x22, 0x23, 0x27, 0x2B, 0x2F)  # first bytes of a client's request
+REQUEST_COMMANDS = (0x40, 0x21, 0x22, 0x23, 0x27, 0x2B, 0x2F)  # first bytes of a client's request
 FIRST_OBJECT = 0x1000
-PACE_S = 0.003  # from one node to the next: request and answer take 2.2 ms at 125 kbit/s
+REQUEST_PERIOD_S = 0.003  # time from one node to the next; request and answer take 2.2 ms at 125 kbit/s
 ANSWER_S = 0.5
-MOST_ANSWERS = 3  # that are kept of a node
-LONGEST_SHOWN = 8  # bytes
+MOST_ANSWERS = 3  # kept of each node
+MOST_SHOWN_BYTES = 8  # of an answer in a line
 
 
 class ElmoProbe(CanProbe):
@@ -42,7 +42,7 @@ class ElmoProbe(CanProbe):
                 return "CANopen's SYNC"
             if identifier == NMT_ID and len(data) == 2:
                 return "a command of CANopen's network management"
-            if identifier - REQUEST in NODES and len(data) == 8 and data[0] in INITIATES:
+            if identifier - REQUEST in NODES and len(data) == 8 and data[0] in REQUEST_COMMANDS:
                 (index,) = struct.unpack_from("<H", data, 1)
                 if index >= FIRST_OBJECT:
                     return f"an SDO request to node {identifier - REQUEST}"
@@ -61,13 +61,14 @@ class ElmoProbe(CanProbe):
         nodes = [node for node, frames in answers.items() if any(map(_is_answer, frames))]
         settings = ElmoSettings.model_fields
         host, vendor = settings["host_node"].default, settings["vendor_id"].default
-        if host in nodes:  # whose heartbeat would be taken for the host's
-            host = max(set(NODES) - set(nodes))
+        further: dict[str, int] = {}
+        if host in nodes:  # the node's heartbeat would be taken for the host's
+            further = {"host_node": max(set(NODES) - set(nodes))}
         for node, frames in sorted(answers.items()):
             fitting = [data for data in frames if _is_answer(data)]
             for data in frames:
                 if not _is_answer(data):
-                    shown = data[:LONGEST_SHOWN].hex(" ") or "no byte"
+                    shown = data[:MOST_SHOWN_BYTES].hex(" ") or "no byte"
                     yield f"node {node}: sent {shown} after an upload of 0x1000:0; garbled, or another host's"
             if len(fitting) > 1:
                 yield (
@@ -75,7 +76,7 @@ class ElmoProbe(CanProbe):
                     " them alone and give it another"
                 )
             elif fitting:
-                yield _meet(port, node, vendor, {} if host == settings["host_node"].default else {"host_node": host})
+                yield _identify(port, node, vendor, further)
         for node in sorted(set(addresses) - set(answers) - set(left_out)):
             yield f"node {node}: sends heartbeats and answers no SDO: is it stopped, or another host?"
 
@@ -94,7 +95,7 @@ def _sweep(port: CanPort, nodes: Sequence[int]) -> dict[int, list[bytes]]:
     try:
         for node in nodes:
             port.send(REQUEST + node, READ_DEVICE_TYPE)
-            port.pump_until((False,), port.clock.now() + PACE_S)
+            port.pump_until((False,), port.clock.now() + REQUEST_PERIOD_S)
         port.pump_until((False,), port.clock.now() + ANSWER_S)
     finally:
         for node in nodes:
@@ -107,11 +108,11 @@ def _is_answer(data: bytes) -> bool:
     return len(data) == 8 and data[0] in (UPLOADED, ABORTED) and data[1:4] == READ_DEVICE_TYPE[1:4]
 
 
-def _meet(port: CanPort, node: int, of_elmo: int, further: dict[str, int]) -> Sighting | str:
+def _identify(port: CanPort, node: int, elmo_vendor: int, further: dict[str, int]) -> Sighting | str:
     sdo = Sdo(port, node, ANSWER_S)
     port.listen(ANSWER + node, sdo.on_frame)
     try:
-        vendor, product, revision = (optional_number(sdo, 0x1018, sub) for sub in (1, 2, 3))
+        vendor, product, revision = (read_optional_u32(sdo, 0x1018, sub) for sub in (1, 2, 3))
         identity = identity_of(sdo)
     except NoAnswer as error:
         return f"{error}, although it answered before"
@@ -119,7 +120,7 @@ def _meet(port: CanPort, node: int, of_elmo: int, further: dict[str, int]) -> Si
         port.listen(ANSWER + node, None)
     numbers = (("vendor", vendor), ("product", product), ("revision", revision))
     detail = ", ".join(f"{word} 0x{value:08X}" for word, value in numbers if value is not None)
-    if vendor != of_elmo:
+    if vendor != elmo_vendor:
         return Sighting(node, identity, None, f"CANopen, {detail or 'no identity object'}; not Elmo's")
     return Sighting(node, identity, {"node": node, **further}, detail)
 

@@ -35,7 +35,7 @@ class _PumpedQueue(queue.Queue[bytes]):
         super().__init__()
         self._port = port
         self.until = math.inf
-        self._came = [False]  # whether an answer waits; a list, which the port watches
+        self._came = [False]  # whether an answer waits; in a list, because the port watches it
 
     def _put(self, item: bytes) -> None:
         super()._put(item)
@@ -78,9 +78,9 @@ class Sdo:
         self._answers = self._client.responses = _PumpedQueue(port)
         self._client.RESPONSE_TIMEOUT = timeout_s
         self._asked = b""
-        self.surplus = 0  # answers received minus transfers begun; -1 while one is awaited
-        self._has_size = True  # whether the last answer tells how many of its four bytes count
-        self._segments = False  # of a text, whose frames carry no index
+        self.surplus = 0  # answers received minus transfers begun; -1 while an answer is awaited
+        self._has_size = True  # whether the last answer states how many of its four bytes are valid
+        self._segments = False  # whether a text is read; the frames of its segments carry no index
 
     def wait_no_longer_than(self, until: float) -> None:
         """End every wait for an answer at this time of the port's clock [s]; infinity removes the limit."""
