@@ -17,7 +17,7 @@ from leactl_plugins.elmo_recorder_csv.driver import ElmoRecorderCsv
 from leactl_plugins.elmo_recorder_csv.settings import ElmoRecorderCsvSettings
 from leactl_plugins.elmo_serial.interpreter import CommandRefused, Interpreter
 from leactl_plugins.elmo_serial.outliers import Outliers
-from leactl_plugins.elmo_serial.recorder import parsed
+from leactl_plugins.elmo_serial.recorder import parse_upload
 from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
 from leactl_plugins.elmo_serial.status import StatusRegister
 from pydantic import ValidationError
@@ -450,7 +450,7 @@ def test_a_second_operation_needs_no_second_proof(bench):
 
 
 def test_a_program_that_does_not_switch_off_is_found_out_and_nothing_demanded(bench):
-    bench.far._watch = lambda: None
+    bench.far._check_counter = lambda: None
     bench.drive.engage(Mode.CURRENT)
     began = bench.clock.now()
     with pytest.raises(DeviceError, match=r"its dead-man does not work: on for 0.30\d s .* in UI\[1\], 0.3 s were set"):
@@ -662,7 +662,7 @@ def test_a_digit_that_arrives_as_another_is_told_by_the_rows_beside_it(bench, mo
 
 def test_a_step_and_a_ramp_are_no_outliers():
     outliers = Outliers([("current", 0.5)])
-    assert [outliers.see([value]) for value in (0, 0, 9, 9, 8, 7, 0, math.nan, 0, 0)] == [None] * 10
+    assert [outliers.add([value]) for value in (0, 0, 9, 9, 8, 7, 0, math.nan, 0, 0)] == [None] * 10
     assert outliers.count == 0
 
 
@@ -750,9 +750,9 @@ def test_a_drive_in_another_process_is_met_moved_and_stopped(make_serial_drive):
 
 
 def test_an_upload_is_read_as_the_manual_takes_it_apart():
-    upload = parsed("0008000100013f80000000010000")  # Command Reference of the steppers' line, BH
+    upload = parse_upload("0008000100013f80000000010000")  # Command Reference of the steppers' line, BH
     assert (upload.values.tolist(), upload.gap) == ([65536.0], 1)
-    assert parsed("000400020003" + "3c000000" + "ab12" + "0001").values.tolist() == [-21742 / 128, 1 / 128]
+    assert parse_upload("000400020003" + "3c000000" + "ab12" + "0001").values.tolist() == [-21742 / 128, 1 / 128]
 
 
 @pytest.mark.parametrize(
@@ -768,13 +768,13 @@ def test_an_upload_is_read_as_the_manual_takes_it_apart():
 )
 def test_an_upload_that_is_not_whole_is_refused(text, message):
     with pytest.raises(Unreadable, match=message):
-        parsed(text)
+        parse_upload(text)
 
 
 @given(st.text(st.sampled_from("0123456789abcdef"), max_size=80))
 def test_digits_of_any_kind_are_a_recording_or_refused(text):
     try:
-        upload = parsed(text)
+        upload = parse_upload(text)
     except Unreadable:
         return
     assert len(text) == 20 + int(text[2:4], 16) * len(upload.values)

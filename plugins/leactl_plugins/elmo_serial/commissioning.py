@@ -7,20 +7,20 @@ from leactl.driver.contract import Identity
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl_plugins.elmo.fault_names import motor_fault
 from leactl_plugins.elmo.scales import CountedPosition
-from leactl_plugins.elmo_serial.interpreter import SPOILS, Interpreter
+from leactl_plugins.elmo_serial.interpreter import SPOIL_COMMAND, Interpreter
 from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
 from leactl_plugins.elmo_serial.status import StatusRegister
 
 COUNTS_OF_32_BITS = (-0x80000000, 0x80000000)
 READINGS = ("IQ", "VX", "PX", "SR")
-ROUNDS = 3  # exchanges by which the time of one is measured
+TIMED_EXCHANGES = 3  # exchanges of which the longest is measured
 
 
 class DriveLimits(NamedTuple):
     """Limits of the drive."""
 
     peak: float  # PL[1], A of the drive
-    continuous: float  # CL[1], A of the drive, which it comes down to after PL[2] s
+    continuous: float  # CL[1], A of the drive, limit after PL[2] s
     low: float  # VL[2], counts/s
     high: float  # VH[2], counts/s
 
@@ -47,10 +47,10 @@ class SerialCommissioning:
         """
         echoed = False
         for _ in range(3):
-            self._interpreter.begin(("MO=0", "EO=0", "HX=0"), first=SPOILS)
+            self._interpreter.begin(("MO=0", "EO=0", "HX=0"), first=SPOIL_COMMAND)
             if self._interpreter.collect(self._clock.now() + self._answer_s) is not None:
                 return echoed
-            echoed = True  # what comes back is what was sent, which has not the shape of an answer
+            echoed = True  # the echo of a command has not the form of an answer
         self._interpreter.give_up()
         raise NoAnswer(
             f"{self._name}: nothing answers as an Elmo's interpreter does in {3 * self._answer_s:g} s;"
@@ -142,14 +142,14 @@ class SerialCommissioning:
         DeviceError : the drive refuses one of the queries.
         """
         settings, voltage = self._settings, self._settings.bus_voltage_command
-        demand = f"{settings.silence_variable}={settings.silence_ms}"  # as long as one, and set already
+        demand = f"{settings.silence_variable}={settings.silence_ms}"  # as long as a demand, and changes nothing
         commands = (*READINGS, demand, "TC", *(() if voltage is None else (voltage,)))
         longest = 0.0
-        for _ in range(ROUNDS):
+        for _ in range(TIMED_EXCHANGES):
             replies = self._interpreter.ask(*commands, within_s=self._answer_s)
             longest = max(longest, self._interpreter.answered - self._interpreter.asked)
             for command in READINGS:
                 replies.text(command)
             if voltage is not None and voltage not in replies:
-                raise DeviceError(f"{self._name}: {voltage} is refused, which bus_voltage_command: says to ask")
+                raise DeviceError(f"{self._name}: {voltage} of bus_voltage_command is refused")
         return longest

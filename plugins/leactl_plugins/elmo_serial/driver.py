@@ -29,27 +29,28 @@ from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 from leactl_plugins.elmo.scales import CountedPosition
 from leactl_plugins.elmo_serial.commissioning import COUNTS_OF_32_BITS, READINGS, DriveLimits, SerialCommissioning
-from leactl_plugins.elmo_serial.interpreter import SPOILS, CommandRefused, Interpreter, Replies
+from leactl_plugins.elmo_serial.interpreter import SPOIL_COMMAND, CommandRefused, Interpreter, Replies
 from leactl_plugins.elmo_serial.outliers import Outliers
 from leactl_plugins.elmo_serial.probe import ElmoSerialProbe
 from leactl_plugins.elmo_serial.settings import ElmoSerialSettings
 from leactl_plugins.elmo_serial.status import StatusRegister, left_operation
 
 CURRENT, VELOCITY, ANGLE = range(3)  # indices of the references in `values`
-FOLLOWED = {Mode.CURRENT: (CURRENT, 1), Mode.VELOCITY: (VELOCITY, 2), Mode.ANGLE: (ANGLE, 5)}  # and its UM
+# index of the reference, and unit mode UM of the drive
+REFERENCES_AND_UNIT_MODES = {Mode.CURRENT: (CURRENT, 1), Mode.VELOCITY: (VELOCITY, 2), Mode.ANGLE: (ANGLE, 5)}
 DEMANDS = ("TC", "JV", "PA")  # commands that set the references
-MOTOR_OFF = SPOILS + b"MO=0;"
-CYCLE_SHARE = 0.55  # share of a cycle that an exchange may take; the loop waits for 0.6 of it
-ENABLE_TIME_S = 3.0  # including the test of the dead-man before
-SAFE_TRY_S = 0.2  # longest try of the safe state, with echo and lost bytes
-AFRESH_S = 0.01  # between a failed connection and the first bytes over the next
-MUST_BE_ON = 58  # error number of a demand while the motor is off
-LEAST_PATIENCE_S = 0.02  # for an answer in the loop; an adapter on USB delays bytes by up to 16 ms
+MOTOR_OFF = SPOIL_COMMAND + b"MO=0;"
+MOST_CYCLE_SHARE = 0.55  # share of a cycle that an exchange may take; the loop waits for 0.6 of it
+ENABLE_TIME_S = 3.0  # time to enter operation, with the test of the dead-man before
+LONGEST_SAFE_TRY_S = 0.2  # of one try of the safe state, with echo and lost bytes
+RECONNECT_S = 0.01  # time between a failed connection and the next
+MOTOR_MUST_BE_ON = 58  # error number of a demand while the motor is off
+LEAST_PATIENCE_S = 0.02  # timeout of an answer in the loop; an adapter on USB delays bytes by up to 16 ms
 LONGEST_UPLOAD = 20 + 8 * 0xFFFF  # bytes of one recorded signal
-MOST_GARBLED = 3  # exchanges in a row
-QUIET_S = 1.0  # at most one notice of each kind in this time
-# of the readings; a larger deviation is reported
-NOISE = (("q-axis current [A]", 0.5), ("velocity [rad/s]", 0.2), ("angle [rad]", 0.02))
+MOST_GARBLED = 3  # exchanges in sequence
+NOTICE_PERIOD_S = 1.0  # at most one notice of each kind in this time
+# bounds of the readings' noise; a larger deviation is reported
+NOISE_BOUNDS = (("q-axis current [A]", 0.5), ("velocity [rad/s]", 0.2), ("angle [rad]", 0.02))
 NAN = math.nan
 
 
@@ -62,7 +63,7 @@ class _Record:
         self.rows: list[Row] = []
         self.quiet_until = self.quiet_of_limits_until = self.quiet_of_outliers_until = -math.inf
         self.limited = False
-        self.outliers = Outliers(NOISE)
+        self.outliers = Outliers(NOISE_BOUNDS)
 
 
 class ElmoSerial(EngagingDrive):
@@ -77,7 +78,7 @@ class ElmoSerial(EngagingDrive):
     baudrate = 115200
     summary = "Elmo Gold and SimplIQ servo drives over RS-232 (two-letter commands)"
     example: ClassVar[Mapping[str, Any]] = {"counts_per_turn": 40000}
-    modes = FOLLOWED
+    modes = REFERENCES_AND_UNIT_MODES
     connection = "over this line"
     enable_time_s = ENABLE_TIME_S
     probe = ElmoSerialProbe()
@@ -96,12 +97,12 @@ class ElmoSerial(EngagingDrive):
         self._record = _Record()
         self._status = StatusRegister(0)
         self._forgiven = False  # whether the fault latched at `open` is ignored until the drive is switched on
-        self._safe = False  # it has confirmed to be off, and got no demand since
-        self._supervised = False  # since the last exchange, so that the next one may be a sign of life
+        self._safe = False  # whether it has confirmed to be off, and got no demand since
+        self._supervised = False  # whether `feed` was called since the last exchange: the next one is a sign of life
         self._proved = False  # whether its program was seen to switch it off while the host's counter stood still
         self._heard = self._voltage_due = -math.inf
         self._garbled = 0
-        self._late = False  # the exchange under way was sent in an earlier cycle
+        self._late = False  # whether the pending exchange was sent in an earlier cycle
         self._follow(Mode.OFF)
         self._followed = [NAN, NAN, NAN]
         self.values = [NAN] * len(self.loop_channels)
@@ -117,7 +118,7 @@ class ElmoSerial(EngagingDrive):
                 if not self._port.connected:
                     self._port.reopen()
                 self._port.discard()
-                replies = self._switch_off_and_query(min(seconds_left, SAFE_TRY_S))
+                replies = self._switch_off_and_query(min(seconds_left, LONGEST_SAFE_TRY_S))
             except DeviceError as error:
                 if not (reason and isinstance(error, NoAnswer)):  # the last try has little time
                     reason = str(error)
@@ -151,7 +152,7 @@ class ElmoSerial(EngagingDrive):
     def _start_afresh(self, until: float) -> None:
         with suppress(DeviceError):
             self._port.reopen()
-        self._clock.sleep_until(min(until, self._clock.now() + AFRESH_S))  # a line may be there and take nothing
+        self._clock.sleep_until(min(until, self._clock.now() + RECONNECT_S))  # a line may be there and take nothing
 
     def stop_now(self) -> None:
         """Send the command that switches the motor off, without waiting; over a new connection if needed."""
@@ -202,9 +203,9 @@ class ElmoSerial(EngagingDrive):
         if self._opened:
             self._opened = False
             if self._safe and self._echoed:
-                with suppress(DeviceError):  # it is safe, which is what counts
+                with suppress(DeviceError):  # the drive is safe; an echo that stays off does no harm
                     self._port.write(b"EO=1;")
-                    self._clock.sleep_until(self._clock.now() + SAFE_TRY_S)  # closing drops what is not sent yet
+                    self._clock.sleep_until(self._clock.now() + LONGEST_SAFE_TRY_S)  # closing drops unsent bytes
             self._port.close()
 
     @classmethod
@@ -237,7 +238,7 @@ class ElmoSerial(EngagingDrive):
 
         self._port.longest_line = LONGEST_UPLOAD
         try:
-            return recorder.recorded(self._interpreter, self.settings.answer_timeout_s)
+            return recorder.upload_recording(self._interpreter, self.settings.answer_timeout_s)
         except DeviceError as error:
             raise type(error)(f"{self.name}: {error}") from None
         finally:
@@ -265,11 +266,11 @@ class ElmoSerial(EngagingDrive):
         ------
         DeviceError : it does not fit; the message has the highest possible rate.
         """
-        if self._exchange_s > CYCLE_SHARE * period:
-            most = math.floor(CYCLE_SHARE / self._exchange_s)
+        if self._exchange_s > MOST_CYCLE_SHARE * period:
+            most = math.floor(MOST_CYCLE_SHARE / self._exchange_s)
             raise DeviceError(
                 f"{self.name}: an exchange takes {1e3 * self._exchange_s:.3g} ms on its line, a cycle at"
-                f" {1.0 / period:g} Hz leaves {1e3 * CYCLE_SHARE * period:.3g} ms: {most} Hz at the most, a higher"
+                f" {1.0 / period:g} Hz leaves {1e3 * MOST_CYCLE_SHARE * period:.3g} ms: {most} Hz at the most, a higher"
                 " baud rate on both sides, or the drive's CAN (elmo_can)"
             )
 
@@ -321,9 +322,9 @@ class ElmoSerial(EngagingDrive):
         if sent is None:
             interpreter.drop_unasked()
         else:
-            self._lose()
+            self._lose_exchange()
             interpreter.give_up()
-            first = SPOILS
+            first = SPOIL_COMMAND
         commands = [*READINGS, *self._demands(now)]
         if self._voltage_due < now and self._supervised and self.settings.bus_voltage_command is not None:
             self._voltage_due = now + self.settings.bus_voltage_period_s
@@ -348,11 +349,11 @@ class ElmoSerial(EngagingDrive):
         now = self._clock.now()
         if replies is not None:
             try:
-                self._take_in(replies, now)
+                self._evaluate(replies, now)
             except Unreadable as error:
-                self._see_garbled(error)
-        self._tell_surplus()
-        self._judge(now)
+                self._count_garbled(error)
+        self._count_surplus()
+        self._check_operation(now)
 
     def feed(self) -> None:
         """Let the next exchange count as the host's heartbeat."""
@@ -367,23 +368,23 @@ class ElmoSerial(EngagingDrive):
         """Notices: time between the readings of a row, irregular answers, and each start of a limited current."""
         record, now = self._record, self._clock.now()
         if record.irregular != record.reported and (now >= record.quiet_until or self._mode is Mode.OFF):
-            record.quiet_until, record.reported = now + QUIET_S, replace(record.irregular)
+            record.quiet_until, record.reported = now + NOTICE_PERIOD_S, replace(record.irregular)
             record.notices.append(str(record.irregular))
         notices, record.notices = record.notices, []
         return notices
 
-    # -- what goes out -----------------------------------------------------------------------------------------------
+    # -- commands ---------------------------------------------------------------------------------------------------
 
     def _follow(self, mode: Mode) -> None:
-        """Turn to a mode with zero demand; earlier reports of the drive belong to the mode before."""
+        """Change to a mode with zero demand; earlier reports of the drive belong to the mode before."""
         self._mode, self._value = mode, 0.0
-        reference, self._unit_mode = FOLLOWED.get(mode, (ANGLE, 0))
+        reference, self._unit_mode = REFERENCES_AND_UNIT_MODES.get(mode, (ANGLE, 0))
         self._reference: int = reference
         self._enable_by = math.inf
         self._asked_on = self._was_on = self._asks_why = False
-        self._on_since = NAN  # of the motor, while its dead-man is tried
-        self._moving: int | None = None  # the demand in counts that a motion was begun to last
-        self._checked: tuple[str, float] | None = None  # what the exchange under way sets, and the drive has to hold
+        self._on_since = NAN  # time at which the motor was switched on for the test of its dead-man
+        self._moving: int | None = None  # demand of the last motion [counts]
+        self._checked: tuple[str, float] | None = None  # demand of the pending exchange, which the drive reads back
 
     def _demands(self, now: float) -> list[str]:
         """Commands of this cycle besides the queries of the readings."""
@@ -418,18 +419,18 @@ class ElmoSerial(EngagingDrive):
             return [word]
         return [f"{word}={counts}", word, "BG"]
 
-    # -- what comes in -----------------------------------------------------------------------------------------------
+    # -- answers ----------------------------------------------------------------------------------------------------
 
-    def _take_in(self, replies: Replies, now: float) -> None:
+    def _evaluate(self, replies: Replies, now: float) -> None:
         """Evaluate a complete exchange; its readings go into the row if it belongs to this cycle."""
         status = StatusRegister(replies.integer("SR"))
         self._heard = now
         try:
             replies.check()
         except CommandRefused as error:
-            if error.number != MUST_BE_ON or not self._asked_on:
+            if error.number != MOTOR_MUST_BE_ON or not self._asked_on:
                 raise DeviceFault(f"{self.name}: {error}") from None
-            self._asks_why = self._was_on  # for MF tells more; one that comes on takes no torque yet
+            self._asks_why = self._was_on  # MF has the reason; a drive that is just being switched on takes no torque
             self._checked = None
         current, speed, counts = replies.number("IQ"), replies.number("VX"), replies.integer("PX")
         voltage = self.settings.bus_voltage_command
@@ -439,7 +440,7 @@ class ElmoSerial(EngagingDrive):
         position = self._position
         position.counts = position.nearest(counts)
         self._garbled = 0
-        self._see(status, now)
+        self._take_status(status, now)
         if "MF" in replies and self._asks_why:
             raise DeviceFault(f"{self.name}: {left_operation(status, replies.integer('MF'))}")
         if self._late:
@@ -451,14 +452,14 @@ class ElmoSerial(EngagingDrive):
         self._followed = [NAN, NAN, NAN]
         if self._mode is not Mode.OFF:
             self._followed[self._reference] = self._value
-        self._look_back(now)
+        self._note_outlier(now)
 
-    def _look_back(self, now: float) -> None:
+    def _note_outlier(self, now: float) -> None:
         """Add a notice for a reading that differs from both its neighbours."""
         record = self._record
-        outlier = record.outliers.see(self.values[3:6])
+        outlier = record.outliers.add(self.values[3:6])
         if outlier is not None and now >= record.quiet_of_outliers_until:
-            record.quiet_of_outliers_until = now + QUIET_S
+            record.quiet_of_outliers_until = now + NOTICE_PERIOD_S
             record.notices.append(f"{outlier}; {record.outliers.count} readings so far")
 
     def _check_demand(self, replies: Replies) -> None:
@@ -472,12 +473,12 @@ class ElmoSerial(EngagingDrive):
         if word != DEMANDS[CURRENT]:
             self._moving = int(sent)
 
-    def _see(self, status: StatusRegister, now: float) -> None:
+    def _take_status(self, status: StatusRegister, now: float) -> None:
         """Evaluate the status of the drive."""
         record, before = self._record, self.engaged
         self._status = status
         if status.limited and not record.limited and now >= record.quiet_of_limits_until:
-            record.quiet_of_limits_until = now + QUIET_S
+            record.quiet_of_limits_until = now + NOTICE_PERIOD_S
             record.notices.append(
                 f"the drive holds its current down to CL[1], {self._limits.continuous:g} A (bit 13 of SR"
                 f" 0x{status.register:X})"
@@ -494,7 +495,7 @@ class ElmoSerial(EngagingDrive):
             self._was_on = True
             if not before and self._reference == ANGLE:
                 self._value = self._position.counts * self._angle_per_count  # hold where the shaft is
-            self._enable_by = -math.inf  # from here on, leaving operation is the drive's own doing
+            self._enable_by = -math.inf  # from now on, only the drive itself can leave operation
         elif self._was_on:
             self._asks_why = True
 
@@ -507,7 +508,7 @@ class ElmoSerial(EngagingDrive):
         """
         if status.motor_on:
             self._was_on = True
-            lasted = self._interpreter.asked - self._on_since  # at the least, when it showed itself on
+            lasted = self._interpreter.asked - self._on_since  # least time: it was still on when it was asked
             if lasted > self.settings.host_silence_s:
                 raise DeviceError(
                     f"{self.name}: its dead-man does not work: on for {lasted:.3f} s without a sign of life in"
@@ -517,7 +518,7 @@ class ElmoSerial(EngagingDrive):
         elif self._was_on:
             self._proved, self._asked_on, self._was_on = True, False, False
 
-    def _see_garbled(self, error: Unreadable) -> None:
+    def _count_garbled(self, error: Unreadable) -> None:
         """Leave the row of a garbled exchange empty.
 
         Raises
@@ -525,22 +526,22 @@ class ElmoSerial(EngagingDrive):
         DeviceError : it is the third in sequence.
         """
         self._garbled += 1
-        self._lose()
+        self._lose_exchange()
         if self._garbled >= MOST_GARBLED:
             raise DeviceError(f"{self.name}: {error}; {self._garbled} exchanges in a row were garbled")
 
-    def _lose(self) -> None:
+    def _lose_exchange(self) -> None:
         """Continue after an exchange that the drive may or may not have executed."""
         self._record.irregular.lost += 1
         self._moving = None
         if self._asked_on and not self._was_on:
-            self._asked_on = False  # it is asked anew
+            self._asked_on = False  # it is commanded again
 
-    def _tell_surplus(self) -> None:
+    def _count_surplus(self) -> None:
         self._record.irregular.surplus += self._interpreter.surplus
         self._interpreter.surplus = 0
 
-    def _judge(self, now: float) -> None:
+    def _check_operation(self, now: float) -> None:
         """Raise the reason why the drive is not in operation although it should be."""
         silence = now - self._heard
         if silence > self.settings.host_silence_s + self.settings.answer_timeout_s:

@@ -21,17 +21,19 @@ from leactl_plugins.elmo_serial.status import (
 )
 
 BAD_COMMAND, BAD_INDEX, NEEDS_INDEX, EMPTY, SYNTAX, RANGE, READ_ONLY = 2, 3, 16, 18, 19, 21, 23
-NOT_IN_THIS_MODE, MUST_BE_OFF, MUST_BE_ON, BAD_UNIT_MODE, NOTHING_YET = 12, 57, 58, 60, 164
+NOT_IN_THIS_MODE, MOTOR_MUST_BE_OFF, MOTOR_MUST_BE_ON, BAD_UNIT_MODE, NOTHING_YET = 12, 57, 58, 60, 164
 BAD_NUMBER = 162
 BAD_START, NO_DATA = 7, 70
-CELLS, LONG_SIGNALS, CURRENT_FACTOR = 16, (1, 2), 0.0078125  # bits of RC, what is uploaded in 8 digits, A per bit
-MOST_INPUT = 512
+RC_BITS = 16
+LONG_SIGNALS = (1, 2)  # uploaded in 8 digits
+CURRENT_FACTOR = 0.0078125  # A per bit
+MOST_INPUT = 512  # bytes of a command
 EXECUTE_S = 2e-4  # from the end of a command to the first byte of its answer
-TICK_S = 0.01  # at which the program looks at the host's counter
-MOST_WHOLE = 0x7FFFFFFF
+TICK_S = 0.01  # time between two checks of the host's counter by the program
+LARGEST_INTEGER = 0x7FFFFFFF
 UNIT_MODES = {1, 2, 3, 4, 5}
-FOLLOWS = {1: "current", 2: "velocity", 4: "angle", 5: "angle"}
-MOTION = {"TC": (1,), "JV": (2, 5), "PA": (4, 5)}  # unit modes in which it may be set
+DEMANDS = {1: "current", 2: "velocity", 4: "angle", 5: "angle"}
+DEMAND_UNIT_MODES = {"TC": (1,), "JV": (2, 5), "PA": (4, 5)}  # unit modes in which a demand may be set
 VERSION = "Whistle 1.01.12.00 08Mar2018"
 _form = re.compile(r"([A-Z]{2})(?:\[([0-9]{1,4})\])?(=(.*))?", re.ASCII | re.DOTALL)
 _number = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?", re.ASCII)
@@ -61,7 +63,7 @@ class ElmoSerialEmulator:
     ) -> None:
         self._machine, self._q_axis_per_ampere = machine, q_axis_per_ampere
         self._counts_per_rad = counts_per_turn / (2.0 * math.pi)
-        self._voltage_command, self._watched = voltage_command, variables
+        self._voltage_command, self._watched_variables = voltage_command, variables
         self.values: dict[str, float] = {  # of the variables that can be set, by name with index
             "EO": 1,
             "HX": 0,
@@ -126,7 +128,7 @@ class ElmoSerialEmulator:
         """Run the program if it is due; returns bytes that are ready."""
         if self.on and self.program_running and now >= self._next_tick:
             self._next_tick += TICK_S
-            self._watch()
+            self._check_counter()
         if now >= self._next_sample:
             self._sample()
         if self._output and now >= self._output[0][0]:
@@ -135,9 +137,9 @@ class ElmoSerialEmulator:
 
     # -- inside the drive --------------------------------------------------------------------------------------------
 
-    def _watch(self) -> None:
+    def _check_counter(self) -> None:
         """Switch off if the host's counter has not changed for the allowed time, as the drive's program does."""
-        counter, allowed = (self.values[variable] for variable in self._watched)
+        counter, allowed = (self.values[variable] for variable in self._watched_variables)
         if counter != self._last_counter:
             self._last_counter, self._quiet_ticks = counter, 0
         else:
@@ -159,7 +161,7 @@ class ElmoSerialEmulator:
         if on:
             self.fault_bits, self.values["TC"], self.values["JV"] = 0, 0.0, 0
             self._quiet_ticks, self._next_tick = 0, now + TICK_S
-            self._last_counter = self.values[self._watched[0]]
+            self._last_counter = self.values[self._watched_variables[0]]
             self.values["PA"] = self._position()
             self._begun_motion = ("angle", self._machine.read()[2]) if self.values["UM"] in (4, 5) else None
             self._move()
@@ -168,15 +170,15 @@ class ElmoSerialEmulator:
 
     def _move(self) -> None:
         """Let the motor follow the demand of the unit mode, limited to the continuous current."""
-        mode = FOLLOWS.get(int(self.values["UM"]), "off")
+        mode = DEMANDS.get(int(self.values["UM"]), "off")
         if mode == "current":
-            self._machine.command("current", self._allowed() * self._q_axis_per_ampere)
+            self._machine.command("current", self._limited_current() * self._q_axis_per_ampere)
         elif self._begun_motion is not None:
             self._machine.command(*self._begun_motion)
         else:
             self._machine.command(mode if mode == "velocity" else "off", 0.0)
 
-    def _allowed(self) -> float:
+    def _limited_current(self) -> float:
         """The demanded current within the limits [A]; the peak current of a few seconds is not emulated."""
         most = min(self.values["PL[1]"], self.values["CL[1]"])
         return max(-most, min(most, self.values["TC"]))
@@ -190,7 +192,7 @@ class ElmoSerialEmulator:
     def status(self) -> int:
         """SR."""
         moving = self._begun_motion is not None
-        limited = self.on and self.values["UM"] == 1 and self._allowed() != self.values["TC"]
+        limited = self.on and self.values["UM"] == 1 and self._limited_current() != self.values["TC"]
         return (
             (MOTOR_ON if self.on else 0)
             | (FAULT_LATCHED if self.fault_bits else 0)
@@ -206,7 +208,7 @@ class ElmoSerialEmulator:
         """Start recording at once (RR=2) or stop (RR=0); a trigger is not emulated."""
         if value not in (0, 2):
             raise InterpreterError(RANGE)
-        self._recording = {bit: [] for bit in range(CELLS) if int(self.values["RC"]) >> bit & 1} if value else {}
+        self._recording = {bit: [] for bit in range(RC_BITS) if int(self.values["RC"]) >> bit & 1} if value else {}
         if value and not self._recording:
             raise InterpreterError(BAD_START)
         self._samples_left = int(self.values["RL"]) if value else 0
@@ -239,7 +241,7 @@ class ElmoSerialEmulator:
     # -- the interpreter ---------------------------------------------------------------------------------------------
 
     def _obey(self, command: str, now: float) -> bytes:
-        """The answer to one command, with its end."""
+        """Execute one command; returns its answer with its end."""
         try:
             answer = self._carry_out(command, now)
         except InterpreterError as error:
@@ -306,14 +308,14 @@ class ElmoSerialEmulator:
             raise InterpreterError(READ_ONLY if name in read_only else self._unknown(name))
         if name == "UM":
             if self.on:
-                raise InterpreterError(MUST_BE_OFF)
+                raise InterpreterError(MOTOR_MUST_BE_OFF)
             if value not in UNIT_MODES:
                 raise InterpreterError(BAD_UNIT_MODE)
-        if name in MOTION:
-            if self.values["UM"] not in MOTION[name]:
+        if name in DEMAND_UNIT_MODES:
+            if self.values["UM"] not in DEMAND_UNIT_MODES[name]:
                 raise InterpreterError(NOT_IN_THIS_MODE)
             if name == "TC" and not self.on:
-                raise InterpreterError(MUST_BE_ON)
+                raise InterpreterError(MOTOR_MUST_BE_ON)
         low, high = self._range_of(name)
         if not low <= value <= high:
             raise InterpreterError(RANGE)
@@ -325,8 +327,8 @@ class ElmoSerialEmulator:
         if name == "TC":
             return -self.values["PL[1]"], self.values["PL[1]"]
         if name == "JV":
-            return self.values.get("VL[2]", -MOST_WHOLE), self.values.get("VH[2]", MOST_WHOLE)
-        return (0, 1) if name in ("EO", "HX") else (-MOST_WHOLE - 1, MOST_WHOLE)
+            return self.values.get("VL[2]", -LARGEST_INTEGER), self.values.get("VH[2]", LARGEST_INTEGER)
+        return (0, 1) if name in ("EO", "HX") else (-LARGEST_INTEGER - 1, LARGEST_INTEGER)
 
     def _set_motor(self, value: float, now: float) -> None:
         if value not in (0, 1):
@@ -337,7 +339,7 @@ class ElmoSerialEmulator:
     def _execute(self, name: str) -> str:
         """Start (BG) or stop (ST) a motion."""
         if not self.on:
-            raise InterpreterError(MUST_BE_ON)
+            raise InterpreterError(MOTOR_MUST_BE_ON)
         mode = self.values["UM"]
         if mode == 2:
             self._begun_motion = ("velocity", self.values["JV"] / self._counts_per_rad if name == "BG" else 0.0)

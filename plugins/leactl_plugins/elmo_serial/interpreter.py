@@ -17,16 +17,15 @@ from leactl.errors import DeviceError, NoAnswer
 from leactl_plugins.elmo.fault_names import refusal
 
 END, REFUSED = b";", b"?"
-SPOILS = b"!;"  # makes an incomplete earlier command invalid, which might otherwise be MO=1
-EXECUTED = frozenset(("BG", "ST"))  # commands without a value, whose answers have none either
-UPLOAD = "BH="  # looks like an assignment, but is answered by a value
-TAGS = 900
+SPOIL_COMMAND = b"!;"  # makes an incomplete earlier command invalid, which might otherwise be MO=1
+ACTIONS = frozenset(("BG", "ST"))  # commands without a value, whose answers are empty
+UPLOAD_COMMAND = "BH="  # has the form of an assignment, but its answer has a value
+TAG_COUNT = 900
 FIRST_TAG = 100
-LONGEST_VALUE = 64
-MOST_SEGMENTS = 200  # that may arrive before an answer; with more, the exchange is given up
-MISHEARD = frozenset(
-    (2, 3, 5, 16, 18, 19, 32, 97, 110, 136, 162)
-)  # what the drive says of a command garbled on its way
+LONGEST_VALUE = 64  # bytes
+MOST_SEGMENTS = 200  # before an answer; after more, the exchange is given up
+# error numbers by which the drive refuses a command that was garbled on the line
+GARBLED_COMMAND_ERRORS = frozenset((2, 3, 5, 16, 18, 19, 32, 97, 110, 136, 162))
 _number = re.compile(rb"[-+]?[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?", re.ASCII)
 _integer = re.compile(rb"-?[0-9]{1,10}", re.ASCII)
 
@@ -58,7 +57,7 @@ class Replies:
         Unreadable : the error number says that the command was garbled on the line.
         """
         for command, number in self.refused.items():
-            if number in MISHEARD:
+            if number in GARBLED_COMMAND_ERRORS:
                 raise Unreadable(f"{command} was not understood: {refusal(number)}")
             raise CommandRefused(command, number)
 
@@ -125,7 +124,7 @@ class Interpreter:
         self._pending: _Pending | None = None
         self._segments: list[bytes] = []
         self._number = 0
-        self.garbled = False  # the pending exchange has ended in an unexpected form
+        self.garbled = False  # whether the pending exchange has ended in an unexpected form
         self.surplus = 0  # answers that belonged to no exchange
         self.asked = self.answered = 0.0  # times [s] of the last answered exchange: sent, and completely answered
 
@@ -134,17 +133,17 @@ class Interpreter:
         """Time [s] at which the pending exchange was sent; None if there is none."""
         return self._pending.sent if self._pending else None
 
-    def begin(self, commands: Sequence[str], counted_in: str = "", first: bytes = b"") -> None:
+    def begin(self, commands: Sequence[str], tag_in: str = "", first: bytes = b"") -> None:
         """Send an exchange; a pending one is abandoned.
 
-        `counted_in` is the variable that receives the exchange's tag, in place of the tag variable.
+        `tag_in` is the variable that receives the exchange's tag; by default the tag variable.
 
         Raises
         ------
         DeviceError : the line is gone, or takes no more.
         """
-        variable = counted_in or self._tag_variable
-        self._number = (self._number + 1) % TAGS
+        variable = tag_in or self._tag_variable
+        self._number = (self._number + 1) % TAG_COUNT
         tag = str(FIRST_TAG + self._number)
         self.give_up()
         text = ";".join((f"{variable}={tag}", *commands, variable, ""))
@@ -177,14 +176,14 @@ class Interpreter:
                 self.give_up()
                 return None
             if self._segments[-1] == pending.tag:
-                replies = _decoded(self._segments[-len(pending.commands) - 2 :], pending.commands)
+                replies = _decode(self._segments[-len(pending.commands) - 2 :], pending.commands)
                 if replies is not None:
                     self.surplus += len(self._segments) - len(pending.commands) - 2
                     self._segments.clear()
                     self.asked, self.answered = pending.sent, self._clock.now()
                     self._pending, self.garbled = None, False
                     return replies
-                self.garbled = True  # unless a reading happens to be that number
+                self.garbled = True  # or a reading equals the tag
         return None
 
     def drop_unasked(self) -> None:
@@ -206,21 +205,20 @@ class Interpreter:
         NoAnswer : none of the tries was answered.
         DeviceError : the line is gone.
         """
-        trouble: DeviceError = NoAnswer(f"no answer to {', '.join(commands) or 'the interpreter'} in {within_s:g} s")
+        no_answer = NoAnswer(f"no answer to {', '.join(commands) or 'the interpreter'} in {within_s:g} s")
         for number in range(tries):
-            self.begin(commands, first=SPOILS if number else b"")
+            self.begin(commands, first=SPOIL_COMMAND if number else b"")
             replies = self.collect(self._clock.now() + within_s)
             if replies is None:
                 continue
-            misheard = [command for command, code in replies.refused.items() if code in MISHEARD and _sets(command)]
-            if misheard and number < tries - 1:
+            assignments = {command: code for command, code in replies.refused.items() if _has_empty_answer(command)}
+            if number < tries - 1 and any(code in GARBLED_COMMAND_ERRORS for code in assignments.values()):
                 continue
-            for command, code in replies.refused.items():
-                if _sets(command):
-                    raise CommandRefused(command, code)
+            for command, code in assignments.items():
+                raise CommandRefused(command, code)
             return replies
         self.give_up()
-        raise trouble
+        raise no_answer
 
     def _add(self, segment: bytes) -> None:
         """Add a segment of the input.
@@ -236,15 +234,16 @@ class Interpreter:
         self._segments.append(segment)
 
 
-def _sets(command: str) -> bool:
-    return ("=" in command and not command.startswith(UPLOAD)) or command in EXECUTED
+def _has_empty_answer(command: str) -> bool:
+    """Whether the answer to a command has no value: an assignment or an action, but not the upload."""
+    return ("=" in command and not command.startswith(UPLOAD_COMMAND)) or command in ACTIONS
 
 
-def _longest(command: str) -> float:
-    return math.inf if command.startswith(UPLOAD) else LONGEST_VALUE
+def _longest_answer(command: str) -> float:
+    return math.inf if command.startswith(UPLOAD_COMMAND) else LONGEST_VALUE
 
 
-def _decoded(segments: Sequence[bytes], commands: Sequence[str]) -> Replies | None:
+def _decode(segments: Sequence[bytes], commands: Sequence[str]) -> Replies | None:
     """The answers of an exchange; None if the segments do not have its form."""
     if len(segments) != len(commands) + 2 or segments[0]:
         return None
@@ -255,7 +254,7 @@ def _decoded(segments: Sequence[bytes], commands: Sequence[str]) -> Replies | No
             if len(segment) != 2:
                 return None
             refused[command] = segment[0]
-        elif bool(segment) is _sets(command) or len(segment) > _longest(command):
+        elif bool(segment) is _has_empty_answer(command) or len(segment) > _longest_answer(command):
             return None
         else:
             values[command] = segment

@@ -1,13 +1,14 @@
 """Detect readings that differ from both neighbours: RS-232 has no checksum, and a garbled digit still gives a number.
 
-The row is already written by then, so that a notice reports it. A true change for a single row is reported as well.
+The row is already written when its outlier is found; a notice reports it. A true change for a single row is reported as
+well.
 """
 
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-AHEAD = 5.0  # times the difference of the neighbours, by which an outlier differs from their mean
+OUTLIER_FACTOR = 5.0  # least deviation of an outlier from its neighbours' mean, over their difference
 
 
 class Outlier(NamedTuple):
@@ -33,13 +34,13 @@ class Outliers:
         self._before = self._latest = (math.nan,) * len(self._noise)
         self.count = 0
 
-    def see(self, values: Sequence[float]) -> Outlier | None:
+    def add(self, values: Sequence[float]) -> Outlier | None:
         """Add the readings of a row; returns the first outlier of the row before, or None."""
         outlier = None
         for (quantity, noise), before, value, after in zip(
             self._noise, self._before, self._latest, values, strict=True
         ):
-            if abs(value - 0.5 * (before + after)) > AHEAD * abs(after - before) + noise:  # NaN compares false
+            if abs(value - 0.5 * (before + after)) > OUTLIER_FACTOR * abs(after - before) + noise:  # NaN compares false
                 self.count += 1
                 outlier = outlier or Outlier(quantity, value, before, after)
         self._before, self._latest = self._latest, tuple(values)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from leactl.driver.contract import OwnRecording
 from leactl.driver.conversation import Unreadable
 from leactl.errors import DeviceError
-from leactl_plugins.elmo_serial.interpreter import UPLOAD, Interpreter
+from leactl_plugins.elmo_serial.interpreter import UPLOAD_COMMAND, Interpreter
 
 SIGNALS = {
     1: "VX (counts/s)",
@@ -33,11 +33,11 @@ SIGNALS = {
     15: "AN[4] (A)",
     16: "DV[2] (counts/s)",
 }
-HEAD = 20  # digits: type 2, width 2, length 4, gap 4, factor 8
-WIDTHS = {4: ">i2", 8: ">i4"}  # digits of an item, and its type
-CELLS = 16  # bits of RC
-SHORTEST_US, LONGEST_US = 10, 10_000  # of WS[29], beyond which it is no time in microseconds
-UPLOAD_S = 30.0  # 4096 items of 8 digits take 17 s at 19200 baud
+HEAD_DIGITS = 20  # type 2, width 2, length 4, gap 4, factor 8
+WIDTHS = {4: ">i2", 8: ">i4"}  # type of an item by its digits
+RC_BITS = 16
+SHORTEST_US, LONGEST_US = 10, 10_000  # range in which WS[29] is a time in microseconds
+LONGEST_UPLOAD_S = 30.0  # 4096 items of 8 digits take 17 s at 19200 baud
 
 
 class Upload(NamedTuple):
@@ -47,30 +47,30 @@ class Upload(NamedTuple):
     gap: int  # between two items, in sampling times of the recorder
 
 
-def parsed(text: str) -> Upload:
+def parse_upload(text: str) -> Upload:
     """Parse the answer to BH.
 
     Raises
     ------
     Unreadable : no hexadecimal digits, or their number contradicts the head.
     """
-    if len(text) < HEAD or not re.fullmatch(r"[0-9A-Fa-f]+", text, re.ASCII):
+    if len(text) < HEAD_DIGITS or not re.fullmatch(r"[0-9A-Fa-f]+", text, re.ASCII):
         raise Unreadable(
-            f"a recording of {len(text)} characters where {HEAD} and more hexadecimal digits were expected"
+            f"a recording of {len(text)} characters where {HEAD_DIGITS} and more hexadecimal digits were expected"
         )
     width, length, gap = int(text[2:4], 16), int(text[4:8], 16), int(text[8:12], 16)
-    (factor,) = struct.unpack(">f", bytes.fromhex(text[12:HEAD]))
+    (factor,) = struct.unpack(">f", bytes.fromhex(text[12:HEAD_DIGITS]))
     if width not in WIDTHS:
         raise Unreadable(f"a recording of items of {width} digits; 4 or 8 were expected")
-    if len(text) != HEAD + width * length:
-        raise Unreadable(f"a recording of {(len(text) - HEAD) / width:g} items where its head says {length}")
+    if len(text) != HEAD_DIGITS + width * length:
+        raise Unreadable(f"a recording of {(len(text) - HEAD_DIGITS) / width:g} items where its head says {length}")
     if not math.isfinite(factor) or gap < 1:
         raise Unreadable(f"a recording with the factor {factor:g} and a gap of {gap}")
-    items = np.frombuffer(bytes.fromhex(text[HEAD:]), WIDTHS[width])
+    items = np.frombuffer(bytes.fromhex(text[HEAD_DIGITS:]), WIDTHS[width])
     return Upload(items.astype(np.float64) * factor, gap)
 
 
-def recorded(interpreter: Interpreter, answer_s: float) -> OwnRecording:
+def upload_recording(interpreter: Interpreter, answer_s: float) -> OwnRecording:
     """Upload all signals of the recorder.
 
     Raises
@@ -85,12 +85,12 @@ def recorded(interpreter: Interpreter, answer_s: float) -> OwnRecording:
     if not SHORTEST_US <= sampling_us <= LONGEST_US:
         raise DeviceError(f"its recorder samples every {sampling_us} us (WS[29]); that is no time of a drive's")
     columns: dict[str, Upload] = {}
-    for cell in range(1, CELLS + 1):
+    for cell in range(1, RC_BITS + 1):
         if cells >> cell - 1 & 1:
             number = interpreter.ask(f"RV[{cell}]", within_s=answer_s).integer(f"RV[{cell}]")
-            command = f"{UPLOAD}{1 << cell - 1}"
-            text = interpreter.ask(command, within_s=UPLOAD_S, tries=1).text(command)
-            columns[SIGNALS.get(number, f"signal {number}")] = upload = parsed(text)
+            command = f"{UPLOAD_COMMAND}{1 << cell - 1}"
+            text = interpreter.ask(command, within_s=LONGEST_UPLOAD_S, tries=1).text(command)
+            columns[SIGNALS.get(number, f"signal {number}")] = upload = parse_upload(text)
             if upload.gap != gap:
                 raise Unreadable(f"{command} was answered by a gap of {upload.gap} where RG is {gap}")
     lengths = {len(upload.values) for upload in columns.values()}

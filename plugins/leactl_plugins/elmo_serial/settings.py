@@ -8,7 +8,7 @@ from leactl.driver.contract import SAFE_STATE_S, DriverSettings
 from leactl_plugins.elmo.scales import CurrentConvention
 
 VARIABLES = 24  # UI[1] to UI[24]
-PROGRAM_TICK_MS = 10  # at which the program in the drive looks at the host's counter
+PROGRAM_TICK_MS = 10  # time between two checks of the host's counter by the drive's program
 Current = Annotated[float, Field(strict=True, gt=0, le=1000, allow_inf_nan=False)]
 
 
@@ -19,7 +19,7 @@ class ElmoSerialSettings(DriverSettings):
     sign: Literal[-1, 1] = 1
     current_convention: CurrentConvention = CurrentConvention.AMPLITUDE
     dead_man_ms: Annotated[int, Field(strict=True, ge=100, le=round(SAFE_STATE_S * 1000))] = 300
-    # of UI: the host's counter, for how long it may stand still, and what exchanges are told apart by
+    # index of the first of three UI variables: the host's counter, the time without its change, the tag of an exchange
     first_variable: Annotated[int, Field(strict=True, ge=1, le=VARIABLES - 2)] = 1
     bus_voltage_command: Annotated[str, Field(pattern=r"^[A-Z]{2}(\[[0-9]{1,3}\])?$")] | None = "AN[6]"
     bus_voltage_period_s: Annotated[float, Field(strict=True, ge=0.05, le=60)] = 0.2
