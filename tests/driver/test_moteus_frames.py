@@ -13,7 +13,7 @@ from leactl_plugins.moteus_can.multiplex import (
     LENGTHS,
     NOP,
     Resolution,
-    padded,
+    pad,
     parse,
     poll_for_text,
     read,
@@ -140,11 +140,11 @@ def test_a_value_that_does_not_fit_is_refused_and_not_clipped(register, value, r
 
 def test_a_frame_is_as_long_as_can_fd_has_it_and_never_longer():
     for length in range(65):
-        frame = padded(bytes(length))
+        frame = pad(bytes(length))
         assert len(frame) == min(each for each in LENGTHS if each >= length)
         assert set(frame[length:]) <= {NOP}
     with pytest.raises(ValueError, match="65 bytes; 64 at the most were expected"):
-        padded(bytes(65))
+        pad(bytes(65))
 
 
 # -- properties ------------------------------------------------------------------------------------------------------
@@ -376,7 +376,7 @@ def test_mutated_frames_are_refused_or_read_as_the_maker_reads_them(maker):
     taken = 0
     for _ in range(MUTANTS):
         shaft.angle, shaft.velocity = draw.uniform(-9, 9), draw.uniform(-50, 50)
-        [whole] = bench.far.receive(FdFrame(TO_DRIVE, padded(question)), 0.0)
+        [whole] = bench.far.receive(FdFrame(TO_DRIVE, pad(question)), 0.0)
         mutant = mutate(draw, whole.data)
         try:
             mine = parse(mutant)
@@ -404,7 +404,7 @@ class EmulatedTransport:
         results = []
         for command in commands:
             source = command.source | (0x80 if command.reply_required else 0)
-            data = padded(command.data)
+            data = pad(command.data)
             for reply in self._far.receive(FdFrame(source << 8 | command.destination, data), self._now()):
                 message = self._maker.Frame(arbitration_id=reply.identifier, data=reply.data)
                 if command.reply_filter is None or command.reply_filter(message):

@@ -8,25 +8,25 @@ import math
 
 from leactl.driver.can_port import CanPort
 from leactl.errors import DeviceError, NoAnswer
-from leactl_plugins.moteus_can.multiplex import FROM_HOST, identifier, padded, poll_for_text, text_to_device
+from leactl_plugins.moteus_can.multiplex import REPLY_REQUESTED, identifier, pad, poll_for_text, text_to_device
 
 TIMEOUT_MODE = "servo.timeout_mode"  # reaction to an expired command
 TIMEOUT_STOPPED = 0  # the power stage is switched off
 KV = "motor.Kv"  # rpm/V
 RATIO = "motor_position.rotor_to_output_ratio"  # turns of the output per turn of the rotor
 MAX_CURRENT = "servo.max_current_A"  # amplitude
-MAX_VELOCITY = "servo.max_velocity"  # revolutions/s; torque is taken away above it
+MAX_VELOCITY = "servo.max_velocity"  # revolutions/s; above it, torque is reduced
 POSITION_MIN, POSITION_MAX = "servopos.position_min", "servopos.position_max"  # revolutions; NaN: none
-VOLTAGE_MODE = "servo.voltage_mode_control"  # currents are volts in disguise
+VOLTAGE_MODE = "servo.voltage_mode_control"  # commanded currents are taken as volts
 FIXED_VOLTAGE = "servo.fixed_voltage_mode"  # no encoder, no current loop
 BEMF_FEEDFORWARD = "servo.bemf_feedforward"  # refused by the firmware without a limit of acceleration
 
 CHANNEL = 1
-MOST_TEXT = 48  # bytes an answer
-TRIES = 3  # of one query or one write: a frame may get lost
-POLLS = 3  # for one answer within the loop, each with as much text as a frame holds
-AGAIN_S = 0.002  # between two polls for text that is not ready yet
-NEAR = 1e-6  # of a value, for the controller's single precision
+MOST_TEXT_BYTES = 48  # of one poll's answer
+MOST_TRIES = 3  # of one query or one write: a frame may get lost
+MOST_POLLS = 3  # for one answer within the loop, each with as much text as a frame holds
+POLL_PAUSE_S = 0.002  # time between two polls for text that is not ready yet
+READ_BACK_TOLERANCE = 1e-6  # share of a value, for the controller's single precision
 
 
 class Configuration:
@@ -34,11 +34,11 @@ class Configuration:
 
     def __init__(self, name: str, port: CanPort, host: int, node: int, timeout_s: float) -> None:
         self._name, self._port, self._timeout_s = name, port, timeout_s
-        self._unanswered = identifier(host, node)
-        self._answered = identifier(host | FROM_HOST, node)
+        self._plain_identifier = identifier(host, node)
+        self._reply_identifier = identifier(host | REPLY_REQUESTED, node)
         self._came = [False]
         self._text = b""
-        self._parameter = ""  # of `continue_reading`, which first discards text left by an earlier host
+        self._parameter = ""  # that `continue_reading` queries, after it has discarded text left by an earlier host
         self._is_asked, self._heard = False, b""
         self._asked_at, self._polls = -math.inf, 0
         self._ask_again_at = -math.inf
@@ -54,9 +54,9 @@ class Configuration:
         ------
         DeviceError : the controller lacks it; `NoAnswer` if it does not answer.
         """
-        return self._number_in(parameter, self._ask(f"conf get {parameter}"))
+        return self._parse_number(parameter, self._ask(f"conf get {parameter}"))
 
-    def _number_in(self, parameter: str, answer: str) -> float:
+    def _parse_number(self, parameter: str, answer: str) -> float:
         try:
             return float(answer)
         except ValueError:
@@ -73,7 +73,7 @@ class Configuration:
         """
         answer = self._ask(f"conf set {parameter} {value:g}")
         read_back = self.read(parameter)
-        if not abs(read_back - value) <= NEAR * abs(value):
+        if not abs(read_back - value) <= READ_BACK_TOLERANCE * abs(value):
             raise DeviceError(
                 f"{self._name}: {parameter} is {read_back:g} although {value:g} was written ('{answer[:40]}')"
             )
@@ -97,9 +97,9 @@ class Configuration:
         if self._came[0] and self._is_asked:
             self._heard += self._text
             if b"\n" in self._heard:
-                return self._number_in(self._parameter, _first_line(self._heard))
+                return self._parse_number(self._parameter, _first_line(self._heard))
             self._polls += 1
-            self._is_asked = self._polls < POLLS or now < self._asked_at + self._timeout_s
+            self._is_asked = self._polls < MOST_POLLS or now < self._asked_at + self._timeout_s
         elif self._came[0]:
             if not self._text:
                 self._send_line(f"conf get {self._parameter}")
@@ -114,7 +114,7 @@ class Configuration:
 
     def _ask(self, line: str) -> str:
         """Send a line and return the first line of the answer; text left by an earlier host is discarded first."""
-        for _ in range(TRIES):
+        for _ in range(MOST_TRIES):
             until = self._port.clock.now() + self._timeout_s
             while self._poll(until):
                 pass
@@ -128,8 +128,8 @@ class Configuration:
                 if b"\n" in answer:
                     return _first_line(answer)
                 if not part:
-                    self._port.clock.sleep_until(min(until, self._port.clock.now() + AGAIN_S))
-        raise NoAnswer(f"{self._name}: '{line}' was not answered in {TRIES} times {self._timeout_s:g} s")
+                    self._port.clock.sleep_until(min(until, self._port.clock.now() + POLL_PAUSE_S))
+        raise NoAnswer(f"{self._name}: '{line}' was not answered in {MOST_TRIES} times {self._timeout_s:g} s")
 
     def _poll(self, until: float) -> bytes | None:
         """Text that waits in the controller; None if the poll is not answered."""
@@ -137,11 +137,11 @@ class Configuration:
         return self._text if self._port.pump_until(self._came, until) else None
 
     def _send_line(self, line: str) -> None:
-        self._port.send_fd(self._unanswered, padded(text_to_device(CHANNEL, f"{line}\n".encode("ascii"))))
+        self._port.send_fd(self._plain_identifier, pad(text_to_device(CHANNEL, f"{line}\n".encode("ascii"))))
 
     def _send_poll(self) -> None:
         self._came[0] = False
-        self._port.send_fd(self._answered, padded(poll_for_text(CHANNEL, MOST_TEXT)))
+        self._port.send_fd(self._reply_identifier, pad(poll_for_text(CHANNEL, MOST_TEXT_BYTES)))
 
 
 def _first_line(text: bytes) -> str:

@@ -19,8 +19,8 @@ from leactl.quantities import ChannelSpec
 from leactl_plugins.moteus_can import configuration as conf
 from leactl_plugins.moteus_can.configuration import Configuration
 from leactl_plugins.moteus_can.exchange import ControllerExchange, query
-from leactl_plugins.moteus_can.multiplex import FROM_HOST, Resolution, identifier, parse, write
-from leactl_plugins.moteus_can.probe import WHO, MoteusProbe, identity_of
+from leactl_plugins.moteus_can.multiplex import REPLY_REQUESTED, Resolution, identifier, parse, write
+from leactl_plugins.moteus_can.probe import IDENTITY_QUERY, MoteusProbe, identity_of
 from leactl_plugins.moteus_can.registers import (
     MAP_VERSION,
     TORQUE_FACTOR,
@@ -32,18 +32,18 @@ from leactl_plugins.moteus_can.registers import (
 from leactl_plugins.moteus_can.settings import HOST, MoteusSettings
 
 CURRENT, VELOCITY, ANGLE = range(3)  # indices of the references in `values`
-FOLLOWED = {Mode.CURRENT: CURRENT, Mode.VELOCITY: VELOCITY, Mode.ANGLE: ANGLE}
+REFERENCES = {Mode.CURRENT: CURRENT, Mode.VELOCITY: VELOCITY, Mode.ANGLE: ANGLE}
 AMPLITUDE = math.sqrt(2.0 / 3.0)  # of a phase current, per ampere of the power-invariant q axis
 TURN = 2.0 * math.pi
 FARTHEST_TURNS = 1024.0  # up to there, single precision resolves 0.4 mrad
-ENABLE_TIME_S = 2.0
-TRIES = 3  # of one question: a frame may get lost
-SECOND_ANSWER_S = 0.01  # within which a second controller of the same number answers too
-QUIET_S = 1.0  # at most one notice of a kind in this time
-TORQUE_SHOWS_A = 1.0  # of amplitude, above which torque and current are compared
+ENABLE_TIME_S = 2.0  # time for the controller to enter operation
+MOST_TRIES = 3  # of one query: a frame may get lost
+SECOND_ANSWER_S = 0.01  # time for a second controller of the same number to answer too
+NOTICE_PERIOD_S = 1.0  # at most one notice of a kind in this time
+LEAST_COMPARED_A = 1.0  # amplitude from which on torque and current are compared
 TORQUE_SAMPLES = 50
-TORQUE_NEAR = 0.05  # allowed difference of their ratio; that of a wrong factor or gear is larger
-GIVEN_NEAR = 0.01  # allowed difference from a value that the bench file states
+TORQUE_RATIO_TOLERANCE = 0.05  # relative; a wrong factor or gear makes a larger difference
+STATED_VALUE_TOLERANCE = 0.01  # relative difference from a value that the bench file states
 NAN = math.nan
 
 STOP = write(Register.MODE, [OperatingMode.STOPPED], Resolution.INT8)
@@ -60,7 +60,7 @@ WITH_SUPPLY = query(  # instead of the time-out: a frame with a command has no r
     (Register.FAULT, 1, Resolution.INT8),
     (Register.VOLTAGE, 2, Resolution.FLOAT),  # with the temperature
 )
-REFUSED = {
+ZERO_PARAMETERS = {
     conf.VOLTAGE_MODE: "currents would be volts",
     conf.FIXED_VOLTAGE: "neither encoder nor current loop would be used",
     conf.BEMF_FEEDFORWARD: "the controller refuses it without a limit of acceleration, and none is sent",
@@ -80,7 +80,7 @@ class MoteusCan(Driver):
     def __init__(self, name: str, role: str, settings: MoteusSettings, port: CanPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings
         self._port, self._clock = port, clock
-        self._to, self._from = identifier(HOST | FROM_HOST, settings.node), identifier(settings.node, HOST)
+        self._to, self._from = identifier(HOST | REPLY_REQUESTED, settings.node), identifier(settings.node, HOST)
         self._configuration = Configuration(name, port, HOST, settings.node, settings.answer_timeout_s)
         self._connected = False
         self._turn = settings.sign * TURN  # rad per revolution of the controller
@@ -88,7 +88,7 @@ class MoteusCan(Driver):
         self._lowest_turns, self._highest_turns = -FARTHEST_TURNS, FARTHEST_TURNS
         self._identity = Identity()
         self._timeout_mode_before: float | None = None  # restored at `close`
-        self._safe = False  # it has confirmed to be safe, and got no demand since
+        self._safe = False  # whether it has confirmed to be safe, and got no demand since
         self._exchange = ControllerExchange(port, self._to)
         self._answer: dict[int, float] = {}  # the last answer, by register
         self._heard_until = -math.inf
@@ -104,7 +104,7 @@ class MoteusCan(Driver):
         self._supervised = False  # whether `feed` was called since the last command, so that the next may be sent
         self._mode, self._reference, self._value = Mode.OFF, ANGLE, 0.0
         self._timeout_mode = NAN  # as read back since the last change of the demanded mode
-        self._prepared = False  # whether it has since reported to be stopped, with the time-out mode that `open` set
+        self._prepared = False  # whether it has reported since then to be stopped, with the time-out mode of `open`
         self._enable_by = math.inf
         self._currents = self._torques = 0.0  # sums, for the torque per ampere that the controller reports
         self._samples = 0
@@ -122,17 +122,17 @@ class MoteusCan(Driver):
     def _stop(self, deadline_s: float, in_fault: bool) -> Confirmation:
         self._follow(Mode.OFF)
         until = self._clock.now() + deadline_s
-        trouble, cleared = "no time was left", ""
+        reason, cleared = "no time was left", ""
         while self._clock.now() < until:
             try:
                 self._connect()
                 command = b"" if in_fault else STOP
                 answered = self._exchange.is_answered(command, STATUS, min(until, self._clock.now() + 0.25))
             except DeviceError as error:
-                answered, trouble = False, str(error)
+                answered, reason = False, str(error)
                 self._clock.sleep_until(min(until, self._clock.now() + 0.01))
             else:
-                trouble = f"mode {self.reported_mode}" if answered else "no answer"
+                reason = f"mode {self.reported_mode}" if answered else "no answer"
             if not answered:
                 with suppress(DeviceError):
                     self._port.reopen()
@@ -145,8 +145,8 @@ class MoteusCan(Driver):
             if self.reported_mode == OperatingMode.FAULT:
                 cleared = f"; it was in fault: {fault_text(self.fault)}"
             in_fault = False
-            self._clock.sleep_until(min(until, self._clock.now() + 0.001))  # its loop takes the command up
-        return Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble}")
+            self._clock.sleep_until(min(until, self._clock.now() + 0.001))  # the controller obeys in its next loop
+        return Confirmation(False, f"not confirmed within {deadline_s:g} s: {reason}")
 
     def stop_now(self) -> None:
         """Send the command that stops the controller, without waiting; over a new connection if needed.
@@ -194,7 +194,7 @@ class MoteusCan(Driver):
         """Stop listening and close the bus; the time-out mode of a safe controller is restored."""
         if self._connected:
             if self._safe and self._timeout_mode_before is not None:
-                with suppress(DeviceError):  # it is safe, which is what counts
+                with suppress(DeviceError):  # the controller is safe; a changed time-out mode does no harm
                     self._configuration.write(conf.TIMEOUT_MODE, self._timeout_mode_before)
             self._connected = False
             self._port.listen_fd(self._from, None)
@@ -239,7 +239,7 @@ class MoteusCan(Driver):
             self._mode is not Mode.OFF
             and self._prepared
             and self.reported_mode == OperatingMode.POSITION
-            and abs(self._reported_timeout - self.settings.host_silence_s) <= conf.NEAR
+            and abs(self._reported_timeout - self.settings.host_silence_s) <= conf.READ_BACK_TOLERANCE
         )
 
     def engage(self, mode: Mode) -> None:
@@ -249,8 +249,8 @@ class MoteusCan(Driver):
         ------
         InputError : the drive has no such mode.
         """
-        if mode not in FOLLOWED:
-            raise InputError(f"{self.name}: mode '{mode}' is none that a moteus follows: {', '.join(FOLLOWED)}")
+        if mode not in REFERENCES:
+            raise InputError(f"{self.name}: mode '{mode}' is none that a moteus follows: {', '.join(REFERENCES)}")
         self._follow(mode)
         self._safe = False
         self._enable_by = self._clock.now() + ENABLE_TIME_S
@@ -292,7 +292,7 @@ class MoteusCan(Driver):
             command = STOP
         elif self._mode is not Mode.OFF and math.isnan(self._timeout_mode):
             self._read_timeout_mode()
-        # every second question at the most, so that the time-out is reported as well
+        # at most every second query, so that the time-out is reported as well
         with_supply = self._with_supply and not self._had_supply and (self._mode is Mode.OFF or self.engaged)
         self._supervised, self._had_supply = False, with_supply
         self._with_supply = self._with_supply and not with_supply
@@ -323,10 +323,10 @@ class MoteusCan(Driver):
             self._exchange.give_up()
             values[3:7] = [NAN] * 4
         if engaged:
-            self._enable_by = -math.inf  # from here on, leaving operation is the controller's own doing
+            self._enable_by = -math.inf  # from now on, only the controller itself can leave operation
             if came:
                 self._check_torque_per_ampere(self._answer)
-        self._judge(now, engaged)
+        self._check_operation(now, engaged)
 
     def feed(self) -> None:
         """Allow the next command, which is valid for the watchdog's time; query the supply if that is due."""
@@ -353,22 +353,22 @@ class MoteusCan(Driver):
                     if self._limited
                     else "nothing limits the output any more"
                 )
-            self._quiet_until = now + QUIET_S if lines else self._quiet_until
+            self._quiet_until = now + NOTICE_PERIOD_S if lines else self._quiet_until
         return lines + self._port.notices()
 
-    # -- on the way into operation -----------------------------------------------------------------------------------
+    # -- entering operation ------------------------------------------------------------------------------------------
 
     def _follow(self, mode: Mode) -> None:
-        """Turn to a mode with zero demand; earlier reports of the controller belong to the mode before."""
+        """Change to a mode with zero demand; earlier reports of the controller belong to the mode before."""
         self._mode, self._value = mode, 0.0
-        self._reference = FOLLOWED.get(mode, ANGLE)
+        self._reference = REFERENCES.get(mode, ANGLE)
         self._enable_by, self._supervised = math.inf, False
         self._prepared, self.reported_mode, self._reported_timeout = False, None, NAN
         self._timeout_mode = NAN
         self._configuration.begin_reading(conf.TIMEOUT_MODE)
 
     def _read_timeout_mode(self) -> None:
-        """Continue to query the time-out mode, which a controller that has restarted has lost."""
+        """Continue to query the time-out mode, which a controller loses when it restarts."""
         read = self._configuration.continue_reading()
         self._timeout_mode = NAN if read is None else read
 
@@ -392,7 +392,7 @@ class MoteusCan(Driver):
             + write(Register.COMMAND_ILIMIT_SCALE, [loop], Resolution.INT8)
         )
 
-    def _judge(self, now: float, engaged: bool) -> None:
+    def _check_operation(self, now: float, engaged: bool) -> None:
         """Raise the reason why the drive is not in operation although it should be."""
         self._expect_one_controller()
         if self.reported_mode == OperatingMode.FAULT:
@@ -428,7 +428,7 @@ class MoteusCan(Driver):
         The controller computes its torque from its current, so their ratio is the factor by which it divides demands.
         """
         current, torque = answer[Register.Q_CURRENT], answer[Register.TORQUE]
-        if not abs(current) >= TORQUE_SHOWS_A:
+        if not abs(current) >= LEAST_COMPARED_A:
             return
         self._currents += abs(current)
         self._torques += math.copysign(1.0, current) * torque
@@ -437,7 +437,7 @@ class MoteusCan(Driver):
             return
         shown, used = self._torques / self._currents, abs(self._torque_per_ampere) / AMPLITUDE
         self._currents, self._torques, self._samples = 0.0, 0.0, 0
-        if abs(shown - used) > TORQUE_NEAR * used:
+        if abs(shown - used) > TORQUE_RATIO_TOLERANCE * used:
             raise DeviceError(
                 f"{self.name}: shows {shown:.4g} N*m per A of amplitude at its output, {used:.4g} was expected of"
                 f" {conf.KV} and {conf.RATIO}: are its motor.rotation_ values set?"
@@ -456,7 +456,9 @@ class MoteusCan(Driver):
     def _identify(self) -> None:
         """Check that one controller of this number answers and has the known register map."""
         now = self._clock.now
-        if not any(self._exchange.is_answered(b"", WHO, now() + self.settings.answer_timeout_s) for _ in range(TRIES)):
+        timeout = self.settings.answer_timeout_s
+        tries = (self._exchange.is_answered(b"", IDENTITY_QUERY, now() + timeout) for _ in range(MOST_TRIES))
+        if not any(tries):
             raise NoAnswer(
                 f"{self.name}: node {self.settings.node} does not tell who it is; number, power, bit rates of 1 and"
                 " 5 Mbit/s, a bus with options: {fd: true}?"
@@ -486,7 +488,7 @@ class MoteusCan(Driver):
         DeviceError : the controller is not calibrated, is configured for another kind of control, or differs.
         """
         get = self._configuration.read
-        for parameter, reason in REFUSED.items():
+        for parameter, reason in ZERO_PARAMETERS.items():
             if (value := get(parameter)) != 0.0:
                 raise DeviceError(f"{self.name}: {parameter} is {value:g}; 0 was expected: {reason}")
         positive = {
@@ -502,7 +504,7 @@ class MoteusCan(Driver):
             ("torque_constant_Nm_per_A", self.settings.torque_constant_Nm_per_A, constant),
             ("max_current_A", self.settings.max_current_A, most),
         ):
-            if expected is not None and not abs(value - expected) <= GIVEN_NEAR * expected:
+            if expected is not None and not abs(value - expected) <= STATED_VALUE_TOLERANCE * expected:
                 raise DeviceError(f"{self.name}: holds {value:.5g} for {setting}; the bench file says {expected:g}")
         self._torque_per_ampere = self.settings.sign * constant / positive[conf.RATIO] * AMPLITUDE
         self._most_current, self._most_turns_s = most / AMPLITUDE, positive[conf.MAX_VELOCITY]
@@ -517,11 +519,11 @@ class MoteusCan(Driver):
         try:
             reply = parse(frame)
         except ValueError as error:
-            self._exchange.leave_out(str(error))
+            self._exchange.count_unreadable(str(error))
             return
         if reply.text is not None and not reply.values:
             self._configuration.on_text(reply.text)
-        elif self._exchange.takes(reply, frame):
+        elif self._exchange.accept(reply, frame):
             self._take_answer(reply.values)
 
     def _take_answer(self, values: dict[int, float]) -> None:

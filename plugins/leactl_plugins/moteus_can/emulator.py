@@ -17,17 +17,17 @@ from leactl_plugins.moteus_can.registers import MAP_VERSION, MODES, SCALES, TORQ
 TO_AMPLITUDE, TURN = math.sqrt(2.0 / 3.0), 2.0 * math.pi
 LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
 LAYOUTS = (struct.Struct("<b"), struct.Struct("<h"), struct.Struct("<i"), struct.Struct("<f"))
-LOWEST = (-128, -32768, -2147483648)
-KEPT_FREE = 23  # of an answer, before a further subframe is looked at
-ENABLING_S = 0.004  # for the gate driver and the offsets of the current sensors
+LOWEST_CODES = (-128, -32768, -2147483648)
+LEAST_ROOM = 23  # bytes of an answer that must be free for the next subframe to be obeyed
+ENABLE_S = 0.004  # time for the gate driver and the offsets of the current sensors
 UNKNOWN_REGISTER, NOT_WRITEABLE, NO_ROOM, NO_MODE = 1, 2, 2, 3
 OVER_VOLTAGE, OVER_TEMPERATURE, OUTSIDE_LIMIT, UNDER_VOLTAGE, MOTOR_DRIVER = 34, 38, 39, 40, 33
 LIMIT_VELOCITY, LIMIT_CURRENT, LIMIT_TEMPERATURE, LIMIT_TORQUE = 96, 99, 100, 102
 LOWEST_BUS_V = 4.0
 FAULT_OF_CLASS = {0x31: OVER_VOLTAGE, 0x32: OVER_VOLTAGE, 0x41: OVER_TEMPERATURE, 0x42: OVER_TEMPERATURE}
-"""Fault by the upper byte of a code of CiA 301; every other is one of the motor driver."""
+"""Fault by the upper byte of a CiA 301 code; every other code is a fault of the motor driver."""
 
-COMMANDS = {  # what each register holds after the mode was written
+DEFAULT_COMMANDS = {  # value of each register after the mode was written
     Register.PWM_PHASE_A: 0.0,
     Register.COMMAND_Q_CURRENT: 0.0,
     Register.COMMAND_POSITION: 0.0,
@@ -41,8 +41,8 @@ COMMANDS = {  # what each register holds after the mode was written
     Register.COMMAND_ACCEL_LIMIT: math.nan,
     Register.COMMAND_ILIMIT_SCALE: 1.0,
 }
-ON_THE_WAY = (2, 3, 4)  # from stopped to the mode that was commanded
-FOLLOWED = (OperatingMode.CURRENT, OperatingMode.POSITION)  # of the modes that can be commanded
+ENABLING_MODES = (2, 3, 4)  # passed from stopped to the commanded mode
+COMMAND_MODES = (OperatingMode.CURRENT, OperatingMode.POSITION)  # that a motor follows
 
 
 class MoteusEmulator:
@@ -76,11 +76,11 @@ class MoteusEmulator:
         }
         self.stored = dict(self.parameters)
         self.mode, self.fault_code = int(OperatingMode.STOPPED), 0
-        self._commanded = dict(COMMANDS)
-        self._wanted = int(OperatingMode.STOPPED)  # mode of the last command
+        self._commanded = dict(DEFAULT_COMMANDS)
+        self._commanded_mode = int(OperatingMode.STOPPED)  # of the last command
         self._expires = self._enabled_at = math.inf
-        self._wrote_mode = self._is_asked = False  # by the present frame
-        self._sensed = (0.0, 0.0, 0.0)  # for this frame: current, velocity and angle at one time
+        self._wrote_mode = self._is_asked = False  # whether the present frame wrote the mode, and requests an answer
+        self._sensed = (0.0, 0.0, 0.0)  # current, velocity and angle at the time of the present frame
         self._line, self._text = b"", b""
 
     # -- time --------------------------------------------------------------------------------------------------------
@@ -97,15 +97,15 @@ class MoteusEmulator:
             return []
         if now >= self._enabled_at:
             self._enabled_at = math.inf
-            if self.mode in ON_THE_WAY:
+            if self.mode in ENABLING_MODES:
                 self._enter()
-        if self.mode == OperatingMode.POSITION and now >= self._expires:  # of no other mode the commands run out
+        if self.mode == OperatingMode.POSITION and now >= self._expires:  # commands expire in no other mode
             self.mode = int(OperatingMode.TIMEOUT)
-            self._run_out()
+            self._expire_command()
         self._look_for_faults()
         return []
 
-    def _run_out(self) -> None:
+    def _expire_command(self) -> None:
         """React to an expired command by `servo.timeout_mode`; only a stop ends this state."""
         if self.parameters["servo.timeout_mode"] in (OperatingMode.ZERO_VELOCITY, OperatingMode.POSITION):
             self._machine.command("velocity", 0.0)
@@ -139,7 +139,7 @@ class MoteusEmulator:
         self._wrote_mode = False
         self._is_asked = bool(source & 0x80)
         self._sensed = self._machine.read()
-        answer = self._heed(frame.data)
+        answer = self._obey(frame.data)
         if self._wrote_mode:
             self._take_command(now)
         if not self._is_asked:
@@ -147,11 +147,11 @@ class MoteusEmulator:
         length = next((length for length in LENGTHS if length >= len(answer)), LENGTHS[-1])
         return [FdFrame(self.node << 8 | source & 0x7F, answer.ljust(length, b"\x50"))]
 
-    def _heed(self, data: bytes) -> bytes:
+    def _obey(self, data: bytes) -> bytes:
         """Obey the subframes in order; returns the answer, as far as the frame could be read."""
         answer, offset = bytearray(), 0
         try:
-            while offset < len(data) and len(answer) <= LENGTHS[-1] - KEPT_FREE:
+            while offset < len(data) and len(answer) <= LENGTHS[-1] - LEAST_ROOM:
                 kind, offset = data[offset], offset + 1
                 if kind < 0x20:
                     offset = self._registers(kind, data, offset, answer)
@@ -167,7 +167,7 @@ class MoteusEmulator:
         """Receive text, or a poll for text; if no answer is requested, no text is taken from the buffer."""
         channel, offset = _varuint(data, offset)
         count, offset = _varuint(data, offset)
-        most = LENGTHS[-1] - KEPT_FREE
+        most = LENGTHS[-1] - LEAST_ROOM
         if kind == 0x40:
             if offset + count > len(data):
                 raise IndexError
@@ -192,7 +192,7 @@ class MoteusEmulator:
             for number in range(register, register + count):
                 (raw,) = layout.unpack_from(data, offset)
                 offset += layout.size
-                if error := self._write(number, _physical(number, resolution, raw)):
+                if error := self._write(number, _decode(number, resolution, raw)):
                     answer += bytes((0x30,)) + _varuint_of(number) + bytes((error,))
             return offset
         if not self._is_asked:
@@ -207,7 +207,7 @@ class MoteusEmulator:
             if value is None:
                 answer += bytes((0x31,)) + _varuint_of(number) + bytes((UNKNOWN_REGISTER,))
                 raise IndexError
-            values += layout.pack(_coded(number, resolution, value))
+            values += layout.pack(_encode(number, resolution, value))
         answer += head + values
         return offset
 
@@ -215,21 +215,21 @@ class MoteusEmulator:
         if register == Register.MODE:
             if not 0 <= value < len(MODES):
                 return NO_MODE
-            self._wrote_mode, self._wanted = True, int(value)
-            self._commanded = dict(COMMANDS)
-        elif register in COMMANDS:
+            self._wrote_mode, self._commanded_mode = True, int(value)
+            self._commanded = dict(DEFAULT_COMMANDS)
+        elif register in DEFAULT_COMMANDS:
             self._commanded[Register(register)] = value
         else:
             return UNKNOWN_REGISTER if self._read(register, 2) is None else NOT_WRITEABLE
         return 0
 
     def _read(self, register: int, resolution: int) -> float | None:
-        if register in COMMANDS:
+        if register in DEFAULT_COMMANDS:
             return self._commanded[Register(register)]
         if register in (Register.POSITION, Register.VELOCITY, Register.TORQUE, Register.Q_CURRENT):
             current, velocity, angle = self._sensed
             amplitude = current * TO_AMPLITUDE
-            flows = self.mode in (*FOLLOWED, OperatingMode.TIMEOUT)
+            flows = self.mode in (*COMMAND_MODES, OperatingMode.TIMEOUT)
             return {
                 Register.POSITION: angle / TURN,
                 Register.VELOCITY: velocity / TURN,
@@ -258,27 +258,27 @@ class MoteusEmulator:
 
     def _take_command(self, now: float) -> None:
         """Change the mode as the firmware does: only a stop ends a fault or a time-out."""
-        if self._wanted == OperatingMode.STOPPED:
+        if self._commanded_mode == OperatingMode.STOPPED:
             self.mode, self.fault_code = int(OperatingMode.STOPPED), 0
             self._expires = self._enabled_at = math.inf
             self._machine.command("off", 0.0)
-        elif self._wanted in FOLLOWED and self.mode not in (OperatingMode.FAULT, OperatingMode.TIMEOUT):
+        elif self._commanded_mode in COMMAND_MODES and self.mode not in (OperatingMode.FAULT, OperatingMode.TIMEOUT):
             timeout = self._commanded[Register.COMMAND_TIMEOUT] or self.parameters["servo.default_timeout_s"]
             self._expires = math.inf if math.isnan(timeout) else now + timeout
             if self.mode == OperatingMode.STOPPED:
-                self.mode, self._enabled_at = ON_THE_WAY[0], now + ENABLING_S
-            elif self.mode in FOLLOWED:
+                self.mode, self._enabled_at = ENABLING_MODES[0], now + ENABLE_S
+            elif self.mode in COMMAND_MODES:
                 self._enter()
 
     def _enter(self) -> None:
         """Follow the command; a position mode that begins outside its bounds is a fault."""
         turns = self._machine.read()[2] / TURN
         low, high = self.parameters["servopos.position_min"], self.parameters["servopos.position_max"]
-        begins = self.mode != OperatingMode.POSITION == self._wanted
+        begins = self.mode != OperatingMode.POSITION == self._commanded_mode
         if begins and (turns < low or turns > high):
             self._fail(OUTSIDE_LIMIT)
             return
-        self.mode = self._wanted
+        self.mode = self._commanded_mode
         self._drive()
 
     def _drive(self) -> None:
@@ -286,7 +286,7 @@ class MoteusEmulator:
         commanded, self.fault_code = self._commanded, 0
         position, velocity = commanded[Register.COMMAND_POSITION], commanded[Register.COMMAND_VELOCITY]
         if self.mode == OperatingMode.CURRENT:
-            self._machine.command("current", self._limited(commanded[Register.COMMAND_Q_CURRENT]) / TO_AMPLITUDE)
+            self._machine.command("current", self._limit(commanded[Register.COMMAND_Q_CURRENT]) / TO_AMPLITUDE)
         elif commanded[Register.COMMAND_KP_SCALE] == 0.0 and commanded[Register.COMMAND_KD_SCALE] == 0.0:
             self._machine.command("current", self._current() / TO_AMPLITUDE)
         elif math.isnan(position):
@@ -306,9 +306,9 @@ class MoteusEmulator:
         most = self._commanded[Register.COMMAND_MAX_TORQUE]
         if abs(torque) > most:
             torque, self.fault_code = math.copysign(most, torque), LIMIT_TORQUE
-        return self._limited(torque / self._torque_constant)
+        return self._limit(torque / self._torque_constant)
 
-    def _limited(self, current: float) -> float:
+    def _limit(self, current: float) -> float:
         """Current amplitude within the limits of configuration and temperature."""
         most, code = self.parameters["servo.max_current_A"], LIMIT_CURRENT
         margin = self.parameters["servo.temperature_margin"]
@@ -369,7 +369,7 @@ class MoteusEmulator:
     def restart(self) -> None:
         """Come back from a loss of power: stopped, without faults, with the stored parameters."""
         self.frozen, self.mode, self.fault_code = False, int(OperatingMode.STOPPED), 0
-        self.parameters, self._commanded = dict(self.stored), dict(COMMANDS)
+        self.parameters, self._commanded = dict(self.stored), dict(DEFAULT_COMMANDS)
         self._expires = self._enabled_at = math.inf
         self._line, self._text = b"", b""
         self._machine.command("off", 0.0)
@@ -394,21 +394,21 @@ def _varuint_of(number: int) -> bytes:
     return low + _varuint_of(number >> 7) if number > 0x7F else low
 
 
-def _physical(register: int, resolution: int, raw: float) -> float:
+def _decode(register: int, resolution: int, raw: float) -> float:
     scales = SCALES.get(register)
     if resolution == 3 or scales is None:
         return raw
-    return math.nan if raw == LOWEST[resolution] else raw * scales[resolution]
+    return math.nan if raw == LOWEST_CODES[resolution] else raw * scales[resolution]
 
 
-def _coded(register: int, resolution: int, value: float) -> float:
+def _encode(register: int, resolution: int, value: float) -> float:
     """Value as sent: clipped, not rounded, with the lowest code for NaN, as the firmware does."""
     if resolution == 3:
         return value
-    highest = -LOWEST[resolution] - 1
+    highest = -LOWEST_CODES[resolution] - 1
     if register not in SCALES:
         wrapped = int(value) & (2 * highest + 1)
         return wrapped - 2 * (highest + 1) if wrapped > highest else wrapped
     if math.isnan(value):
-        return LOWEST[resolution]
+        return LOWEST_CODES[resolution]
     return int(max(-highest, min(highest, value / SCALES[register][resolution])))

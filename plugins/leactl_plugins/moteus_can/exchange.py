@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 from leactl.driver.answer_matching import IrregularAnswers
 from leactl.driver.can_port import CanPort
-from leactl_plugins.moteus_can.multiplex import ControllerReply, Resolution, padded, read, write
+from leactl_plugins.moteus_can.multiplex import ControllerReply, Resolution, pad, read, write
 from leactl_plugins.moteus_can.registers import MODES, Register
 
-NUMBER = Register.PWM_PHASE_A
+NUMBER_REGISTER = Register.PWM_PHASE_A
 LAST_NUMBER = 1 << 23  # whole numbers up to here are exact in single precision
-LATEST = 64  # queries whose answers may still arrive
-WIDEST_TURNS = 32768.0  # range of the controller's position
+MOST_UNANSWERED = 64  # queries whose answers may still arrive
+LARGEST_TURNS = 32768.0  # of the controller's position
 
 
 class RegisterQuery(NamedTuple):
@@ -29,8 +29,8 @@ class RegisterQuery(NamedTuple):
 def query(*parts: tuple[Register, int, Resolution]) -> RegisterQuery:
     """Make a query of registers: for each part, the first register, their count, and their resolution."""
     registers = {number for first, count, _ in parts for number in range(first, first + count)}
-    subframes = read(NUMBER) + b"".join(read(*part) for part in parts)
-    return RegisterQuery(subframes, frozenset((NUMBER, *registers)))
+    subframes = read(NUMBER_REGISTER) + b"".join(read(*part) for part in parts)
+    return RegisterQuery(subframes, frozenset((NUMBER_REGISTER, *registers)))
 
 
 class ControllerExchange:
@@ -41,7 +41,7 @@ class ControllerExchange:
         self._number, self._registers = 0, frozenset[int]()
         self._unanswered: dict[float, bool] = {}  # by number: whether the answer was counted as lost
         self._answered, self._answered_by = 0, b""
-        self.came = [False]  # the answer to the last question
+        self.came = [False]  # whether the answer to the last query has arrived
         self.begin()
 
     def begin(self) -> None:
@@ -60,10 +60,10 @@ class ControllerExchange:
         self._number = self._number % LAST_NUMBER + 1
         self._registers, self.came[0] = asked.registers, False
         self._unanswered[self._number] = False
-        if len(self._unanswered) > LATEST:
+        if len(self._unanswered) > MOST_UNANSWERED:
             del self._unanswered[next(iter(self._unanswered))]
-        number = write(NUMBER, [float(self._number)])  # after the mode, which resets what was written before it
-        self._port.send_fd(self._identifier, padded(command + number + asked.subframes))
+        number = write(NUMBER_REGISTER, [float(self._number)])  # behind the mode, which resets this register
+        self._port.send_fd(self._identifier, pad(command + number + asked.subframes))
 
     def is_answered(self, command: bytes, asked: RegisterQuery, until: float) -> bool:
         """Send a command and a query, and wait for the answer until `until` [s]; returns whether it came."""
@@ -75,21 +75,21 @@ class ControllerExchange:
         self.irregular.lost += 1
         self._unanswered[self._number] = True
 
-    def takes(self, reply: ControllerReply, data: bytes) -> bool:
-        """Whether a reply answers the last query; other replies are counted."""
-        number = reply.values.get(NUMBER, math.nan)
+    def accept(self, reply: ControllerReply, data: bytes) -> bool:
+        """Take a reply; returns whether it answers the last query, and counts it if it does not."""
+        number = reply.values.get(NUMBER_REGISTER, math.nan)
         if self.came[0] or number != self._number:
-            self._take_another(number, data)
+            self._count_other(number, data)
             return False
         if fault := self._fault_of(reply):
-            self.leave_out(fault)
+            self.count_unreadable(fault)
             return False
         self._answered, self._answered_by = self._number, data
         self._unanswered.pop(self._number, None)
         self.came[0] = True
         return True
 
-    def leave_out(self, fault: str) -> None:
+    def count_unreadable(self, fault: str) -> None:
         """Count a frame that cannot be trusted."""
         self.unreadable += 1
         self._last_unreadable = fault
@@ -105,7 +105,7 @@ class ControllerExchange:
             lines.append(f"{self.unreadable} answers could not be used; the last one {self._last_unreadable}")
         return lines
 
-    def _take_another(self, number: float, data: bytes) -> None:
+    def _count_other(self, number: float, data: bytes) -> None:
         """Count an answer to an earlier query, or to none.
 
         A controller's frame may arrive twice; a different frame with the same number is from another controller.
@@ -131,6 +131,6 @@ class ControllerExchange:
         if mode not in MODES or fault < 0:
             return f"holds mode {mode:g} and fault {fault:g}"
         turns = abs(values.get(Register.POSITION, 0.0))
-        if turns > WIDEST_TURNS or any(math.isinf(value) for value in values.values()):
+        if turns > LARGEST_TURNS or any(math.isinf(value) for value in values.values()):
             return "holds a value that no controller can have"
         return ""

@@ -17,8 +17,8 @@ TEXT_TO_DEVICE, TEXT_TO_HOST, POLL_FOR_TEXT = 0x40, 0x41, 0x42
 NOP = 0x50
 LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # of a CAN-FD frame
 MOST_BYTES = LENGTHS[-1]
-MOST_OF_A_VARUINT = 5  # bytes
-FROM_HOST = 0x80  # in the source, where an answer is asked for
+MOST_VARUINT_BYTES = 5
+REPLY_REQUESTED = 0x80  # bit of a frame's source
 
 
 class Resolution(IntEnum):
@@ -37,9 +37,9 @@ NAN_CODES = (-128, -32768, -2147483648)  # of a physical value, by resolution
 class ControllerReply(NamedTuple):
     """Content of one frame of a controller."""
 
-    values: dict[int, float]  # by register, in the maker's units; NaN where the controller says that it has none
-    errors: dict[int, int]  # by register, the code with which it was refused
-    text: bytes | None = None  # of the tunnel; None where the frame has none
+    values: dict[int, float]  # by register, in the maker's units; NaN if the controller has no value
+    errors: dict[int, int]  # by register, the code of the refusal
+    text: bytes | None = None  # of the tunnel; None if the frame has no text
 
 
 def identifier(source: int, destination: int) -> int:
@@ -64,8 +64,8 @@ def write(register: int, values: Sequence[float], resolution: Resolution = Resol
     ------
     ValueError : a value that the resolution cannot express; nothing is clipped.
     """
-    packed = [_packed(register + number, value, resolution) for number, value in enumerate(values)]
-    return _head(WRITE, register, len(values), resolution) + b"".join(packed)
+    codes = [_encode(register + number, value, resolution) for number, value in enumerate(values)]
+    return _head(WRITE, register, len(values), resolution) + b"".join(codes)
 
 
 def read(register: int, count: int = 1, resolution: Resolution = Resolution.FLOAT) -> bytes:
@@ -83,8 +83,8 @@ def poll_for_text(channel: int, most: int) -> bytes:
     return bytes((POLL_FOR_TEXT,)) + varuint(channel) + varuint(most)
 
 
-def padded(subframes: bytes) -> bytes:
-    """Pad subframes to a length that CAN-FD has.
+def pad(subframes: bytes) -> bytes:
+    """Pad subframes to the next length of a CAN-FD frame.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def _head(kind: int, register: int, count: int, resolution: Resolution) -> bytes
     return bytes((kind | resolution << 2,)) + varuint(count) + varuint(register)
 
 
-def _packed(register: int, value: float, resolution: Resolution) -> bytes:
+def _encode(register: int, value: float, resolution: Resolution) -> bytes:
     if resolution is Resolution.FLOAT:
         try:
             return LAYOUTS[resolution].pack(value)
@@ -142,7 +142,7 @@ def parse(data: bytes) -> ControllerReply:
                 register, offset = _take_varuint(data, offset)
                 errors[register], offset = _take_varuint(data, offset)
             elif kind == TEXT_TO_HOST and text is None:
-                _channel, offset = _take_varuint(data, offset)  # one is used
+                _channel, offset = _take_varuint(data, offset)  # only one channel is polled
                 count, offset = _take_varuint(data, offset)
                 text, offset = data[offset : offset + count], offset + count
             else:
@@ -167,12 +167,12 @@ def _take_values(kind: int, data: bytes, offset: int, values: dict[int, float]) 
         if number in values:
             raise ValueError(f"tells register 0x{number:03X} twice")
         (value,) = layout.unpack_from(data, offset)
-        values[number] = _value(number, value, resolution)
+        values[number] = _decode(number, value, resolution)
         offset += layout.size
     return offset
 
 
-def _value(register: int, value: float, resolution: int) -> float:
+def _decode(register: int, value: float, resolution: int) -> float:
     """Physical value or integer for the code of a register."""
     if register not in KNOWN_REGISTERS:
         raise ValueError(f"tells register 0x{register:03X}, whose scale is not known here")
@@ -189,9 +189,9 @@ def _value(register: int, value: float, resolution: int) -> float:
 def _take_varuint(data: bytes, offset: int) -> tuple[int, int]:
     """Decode an integer; returns it and the offset after it."""
     number = 0
-    for count in range(MOST_OF_A_VARUINT):
+    for count in range(MOST_VARUINT_BYTES):
         byte = data[offset + count]
         number |= (byte & 0x7F) << 7 * count
         if not byte & 0x80:
             return number, offset + count + 1
-    raise ValueError(f"has a number of more than {MOST_OF_A_VARUINT} bytes before byte {offset + MOST_OF_A_VARUINT}")
+    raise ValueError(f"has a number of more than {MOST_VARUINT_BYTES} bytes before byte {offset + MOST_VARUINT_BYTES}")

@@ -10,20 +10,20 @@ from leactl.driver.contract import Identity
 from leactl.driver.far_end import LAST_OF_11_BITS, FdFrame, Frame
 from leactl.driver.probe import CanProbe, Seen, Sighting
 from leactl_plugins.moteus_can.exchange import query
-from leactl_plugins.moteus_can.multiplex import FROM_HOST, Resolution, identifier, padded, parse
+from leactl_plugins.moteus_can.multiplex import REPLY_REQUESTED, Resolution, identifier, pad, parse
 from leactl_plugins.moteus_can.registers import MAP_VERSION, Register
 from leactl_plugins.moteus_can.settings import HOST, NODES
 
-WHO = query(
+IDENTITY_QUERY = query(
     (Register.MODE, 1, Resolution.INT8),
     (Register.FAULT, 1, Resolution.INT8),
     (Register.MODEL_NUMBER, 3, Resolution.INT32),  # with the versions of firmware and register map
     (Register.SERIAL_NUMBER, 3, Resolution.INT32),
 )
-ASKED_BY_A_HOST = 0x8000  # bit of an identifier
-PACE_S = 0.002  # from one controller to the next: frame and answer take 0.3 ms at 1 and 5 Mbit/s
+REPLY_REQUESTED_BIT = 0x8000  # bit of an identifier
+REQUEST_PERIOD_S = 0.002  # time from one controller to the next; frame and answer take 0.3 ms at 1 and 5 Mbit/s
 ANSWER_S = 0.1
-MOST_ANSWERS = 3  # that are kept of a node
+MOST_ANSWERS = 3  # kept of each node
 
 
 class MoteusProbe(CanProbe):
@@ -34,7 +34,7 @@ class MoteusProbe(CanProbe):
     def host(self, frames: Sequence[Frame]) -> str:
         """Describe a frame that only a host sends: one that requests an answer; empty if there is none."""
         for frame in frames:
-            if isinstance(frame, FdFrame) and frame.identifier >> 16 == 0 and frame.identifier & ASKED_BY_A_HOST:
+            if isinstance(frame, FdFrame) and frame.identifier >> 16 == 0 and frame.identifier & REPLY_REQUESTED_BIT:
                 return f"a command to the moteus at node {frame.identifier & 0x7F}"
         return ""
 
@@ -49,8 +49,8 @@ class MoteusProbe(CanProbe):
             port.listen_fd(identifier(node, HOST), partial(_keep, answers, node))
         try:
             for node in NODES:
-                port.send_fd(identifier(HOST | FROM_HOST, node), padded(WHO.subframes))
-                port.pump_until((False,), port.clock.now() + PACE_S)
+                port.send_fd(identifier(HOST | REPLY_REQUESTED, node), pad(IDENTITY_QUERY.subframes))
+                port.pump_until((False,), port.clock.now() + REQUEST_PERIOD_S)
             port.pump_until((False,), port.clock.now() + ANSWER_S)
         finally:
             for node in NODES:
@@ -60,7 +60,7 @@ class MoteusProbe(CanProbe):
 
 
 def identity_of(values: Mapping[int, float]) -> Identity:
-    """Identity of a controller from the registers of `WHO`."""
+    """Identity of a controller from the registers of `IDENTITY_QUERY`."""
     model, firmware = int(values[Register.MODEL_NUMBER]), int(values[Register.FIRMWARE_VERSION])
     words = [int(values[Register.SERIAL_NUMBER + word]) for word in range(3)]
     serial = base64.b64encode(struct.pack(">3i", *words)).decode("ascii")
@@ -85,7 +85,7 @@ def _read(node: int, frames: Sequence[bytes]) -> Sighting | str:
         values = parse(frames[0]).values
     except ValueError as error:
         return f"node {node}: its answer {error}"
-    if not WHO.registers <= values.keys():
+    if not IDENTITY_QUERY.registers <= values.keys():
         return f"node {node}: does not tell who it is; a moteus with firmware of another kind?"
     identity, registers = identity_of(values), int(values[Register.REGISTER_MAP_VERSION])
     if registers != MAP_VERSION:

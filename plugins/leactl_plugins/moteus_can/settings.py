@@ -5,9 +5,9 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from leactl.driver.contract import SAFE_STATE_S, DriverSettings
-from leactl_plugins.moteus_can.multiplex import FROM_HOST, identifier
+from leactl_plugins.moteus_can.multiplex import REPLY_REQUESTED, identifier
 
-NODES = range(1, 127)  # ids of controllers; 127 is everybody
+NODES = range(1, 127)  # ids of controllers; 127 addresses all of them
 HOST = 0  # the source of the host's frames, as the maker's programs have it
 
 
@@ -20,7 +20,7 @@ class MoteusSettings(DriverSettings):
     supply_period_s: Annotated[float, Field(strict=True, ge=0.05, le=60)] = 0.2
     answer_timeout_s: Annotated[float, Field(strict=True, gt=0, le=SAFE_STATE_S)] = 0.1
     reset_fault_at_start: bool = False
-    # where they are given, a controller that has others is refused
+    # if they are given, a controller with other values is refused
     torque_constant_Nm_per_A: Annotated[float, Field(strict=True, gt=0)] | None = None  # noqa: N815
     max_current_A: Annotated[float, Field(strict=True, gt=0)] | None = None  # noqa: N815
 
@@ -33,7 +33,7 @@ class MoteusSettings(DriverSettings):
     def bus_identifiers(self) -> frozenset[int]:
         """Identifiers of the host's frames, with and without a requested answer, and of the controller's."""
         return frozenset(
-            (identifier(HOST, self.node), identifier(HOST | FROM_HOST, self.node), identifier(self.node, HOST))
+            (identifier(HOST, self.node), identifier(HOST | REPLY_REQUESTED, self.node), identifier(self.node, HOST))
         )
 
     @property
