@@ -14,7 +14,7 @@ class Command(IntEnum):
     GET_VERSION = 0x00
     HEARTBEAT = 0x01
     RX_SDO = 0x04  # read or write a parameter of the drive
-    TX_SDO = 0x05  # its answer
+    TX_SDO = 0x05  # the drive's answer to RX_SDO
     SET_AXIS_STATE = 0x07
     GET_ENCODER_ESTIMATES = 0x09
     SET_CONTROLLER_MODE = 0x0B
@@ -77,18 +77,17 @@ ERRORS = {
     0x40000000: "CALIBRATION_ERROR",
 }
 
-REPEATED_QUESTIONS = 2  # after an answer came twice: a frame may be doubled by chance, and a second drive answers each
-READ, WRITE = 0, 1  # what is asked for in RX_SDO
+REPEATED_QUERIES = 2  # after an answer came twice: a frame may be doubled by chance, a second drive always answers
+READ, WRITE = 0, 1  # opcodes of RX_SDO
 PARAMETER = struct.Struct("<BHB")  # READ or WRITE, number of the parameter, reserved; the value follows
-TWO_FLOATS = struct.Struct("<ff")  # position and velocity, current asked for and measured, bus voltage and current
+TWO_FLOATS = struct.Struct("<ff")  # position and velocity, demanded and measured current, or bus voltage and current
 ONE_FLOAT = struct.Struct("<f")
 POSITION = struct.Struct("<fhh")  # turns, and velocity and torque fed forward
 MODES = struct.Struct("<II")
 STATE = struct.Struct("<I")
 HEARTBEAT = struct.Struct("<IBBBB")  # errors, state, result of a procedure, end of a trajectory, reserved
-VERSION = struct.Struct(
-    "<8B"
-)  # protocol, hardware line, version and variant, firmware major, minor, revision, unreleased
+# protocol, hardware line, version and variant, firmware major, minor, revision, unreleased
+VERSION = struct.Struct("<8B")
 
 
 def hardware_and_firmware(version: Sequence[int]) -> tuple[str, str]:
@@ -102,7 +101,7 @@ def identifiers_of(node: int) -> frozenset[int]:
     return frozenset(range(node << NODE_SHIFT, node + 1 << NODE_SHIFT))
 
 
-def described(errors: int) -> str:
+def error_names(errors: int) -> str:
     """Names of the bits of an error word."""
     named = [name for bit, name in ERRORS.items() if errors & bit]
     return f"{' and '.join(named) or 'an error unknown here'} (0x{errors:08X})"

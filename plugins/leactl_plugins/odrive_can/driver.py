@@ -26,7 +26,7 @@ from leactl_plugins.odrive_can.can_simple import (
     ONE_FLOAT,
     POSITION,
     PROTOCOL,
-    REPEATED_QUESTIONS,
+    REPEATED_QUERIES,
     STATE,
     TWO_FLOATS,
     VERSION,
@@ -35,7 +35,7 @@ from leactl_plugins.odrive_can.can_simple import (
     Command,
     ControlMode,
     InputMode,
-    described,
+    error_names,
     hardware_and_firmware,
 )
 from leactl_plugins.odrive_can.parameters import Parameters
@@ -43,20 +43,26 @@ from leactl_plugins.odrive_can.probe import OdriveProbe
 from leactl_plugins.odrive_can.settings import OdriveSettings
 
 CURRENT, VELOCITY, ANGLE = range(3)  # indices of the references in `values`
-FOLLOWED = {
+REFERENCES_AND_MODES = {
     Mode.CURRENT: (CURRENT, ControlMode.TORQUE, InputMode.PASSTHROUGH),
     Mode.TORQUE_PROFILE: (CURRENT, ControlMode.TORQUE, InputMode.TORQUE_RAMP),
     Mode.VELOCITY: (VELOCITY, ControlMode.VELOCITY, InputMode.PASSTHROUGH),
     Mode.ANGLE: (ANGLE, ControlMode.POSITION, InputMode.PASSTHROUGH),
 }
-READ_BACK = (endpoints.CONTROL_MODE, endpoints.INPUT_MODE, endpoints.ENABLE_WATCHDOG, endpoints.WATCHDOG_TIMEOUT)
+READ_BACK_PARAMETERS = (
+    endpoints.CONTROL_MODE,
+    endpoints.INPUT_MODE,
+    endpoints.ENABLE_WATCHDOG,
+    endpoints.WATCHDOG_TIMEOUT,
+)
 ENCODER, IQ = range(2)  # the readings that are queried every cycle
 AMPLITUDE = math.sqrt(2.0 / 3.0)  # of a phase current, per ampere of the power-invariant q axis
 TURN = 2.0 * math.pi
 FARTHEST_TURNS = 1024.0  # up to there, single precision resolves 0.4 mrad
-ENABLE_TIME_S, RETRY_S = 2.0, 0.1
-SECOND_ANSWER_S = 0.01  # within which a second drive of the same node answers too
-QUIET_S = 1.0  # at most one notice of irregular answers in this time
+ENABLE_TIME_S = 2.0  # time for the drive to enter operation
+STEP_PAUSE_S = 0.1  # time for the drive to report one step towards operation, before the step is repeated
+SECOND_ANSWER_S = 0.01  # time for a second drive of the same node to answer too
+NOTICE_PERIOD_S = 1.0  # at most one notice of irregular answers in this time
 NAN = math.nan
 
 
@@ -66,8 +72,8 @@ class OdriveCan(EngagingDrive):
     Settings = OdriveSettings
     transport = "can"
     summary = "ODrive S1, Pro or Micro over CAN (CAN Simple, firmware 0.6)"
-    example: ClassVar[Mapping[str, Any]] = {"node": 3, "endpoints": endpoints.EMULATED}
-    modes = FOLLOWED
+    example: ClassVar[Mapping[str, Any]] = {"node": 3, "endpoints": endpoints.EMULATED_TABLE}
+    modes = REFERENCES_AND_MODES
     enable_time_s = ENABLE_TIME_S
     probe = OdriveProbe()
 
@@ -86,7 +92,7 @@ class OdriveCan(EngagingDrive):
         self._heard_until = -math.inf
         self.axis_state, self.errors = 0, 0
         self._values_before: dict[str, float] = {}  # parameters that are restored at `close`
-        self._safe = False  # it has confirmed to be idle, and got no demand since
+        self._safe = False  # whether it has confirmed to be idle, and got no demand since
         self._turns = NAN  # turns, reported position of the shaft
         self._bus_voltage_due = -math.inf
         self._rows: list[Row] = []
@@ -104,26 +110,27 @@ class OdriveCan(EngagingDrive):
         """Set the axis idle, from any state, over a new connection if needed; never raises."""
         self._follow(Mode.OFF)
         until = self._clock.now() + deadline_s
-        trouble = "no time was left"
+        reason = "no time was left"
         while self._clock.now() < until:
             try:
                 self._connect()
                 self._port.take_waiting()  # drop frames sent before the command
                 self._set_state(AxisState.IDLE)
                 soon = min(until, self._clock.now() + 0.25)
-                heard = self._has_taken_all(soon) and self._hears(soon)  # no heartbeat that was on its way
+                # the version first, so that the heartbeat was sent after the command
+                heard = self._wait_for_version(soon) and self._wait_for_heartbeat(soon)
             except DeviceError as error:
-                heard, trouble = False, str(error)
+                heard, reason = False, str(error)
                 self._clock.sleep_until(min(until, self._clock.now() + 0.01))
             else:
-                trouble = f"state {self.axis_state}" if heard else "no heartbeat"
+                reason = f"state {self.axis_state}" if heard else "no heartbeat"
             if heard and self.axis_state == AxisState.IDLE:
                 self._safe = True
                 return Confirmation(True, "axis idle")
             if not heard:
                 with suppress(DeviceError):
                     self._port.reopen()
-        return Confirmation(False, f"not confirmed within {deadline_s:g} s: {trouble}")
+        return Confirmation(False, f"not confirmed within {deadline_s:g} s: {reason}")
 
     def stop_now(self) -> None:
         """Send the command that sets the axis idle, without waiting; over a new connection if needed."""
@@ -146,23 +153,23 @@ class OdriveCan(EngagingDrive):
         self._answers, self._safe, self._values_before = Answers(2), False, {}
         self._set_state(AxisState.IDLE)
         self._identify()
-        self._take_over(endpoints.HEARTBEAT_PERIOD, self.settings.heartbeat_ms)  # a drive may send none until then
-        if not self._hears(self._clock.now() + 0.5):
+        self._set_until_close(endpoints.HEARTBEAT_PERIOD, self.settings.heartbeat_ms)  # it may have sent none so far
+        if not self._wait_for_heartbeat(self._clock.now() + 0.5):
             raise NoAnswer(f"{self.name}: node {self.settings.node} answers, and sends no heartbeat")
-        self._leave_errors()
+        self._clear_errors()
         if self.axis_state != AxisState.IDLE:
             raise DeviceError(f"{self.name}: the axis does not become idle, state {self.axis_state}")
         self._read_scales()
-        self._take_over(endpoints.WATCHDOG_TIMEOUT, self.settings.host_silence_s)
-        self._take_over(endpoints.ENCODER_PERIOD, 0)
-        self._take_over(endpoints.CURRENT_PERIOD, 0)
+        self._set_until_close(endpoints.WATCHDOG_TIMEOUT, self.settings.host_silence_s)
+        self._set_until_close(endpoints.ENCODER_PERIOD, 0)
+        self._set_until_close(endpoints.CURRENT_PERIOD, 0)
         self._values_before[endpoints.ENABLE_WATCHDOG] = self._parameters.read(endpoints.ENABLE_WATCHDOG)
 
     def close(self) -> None:
         """Stop listening and close the bus; the changed parameters of a safe drive are restored."""
         if self._connected:
             if self._safe:
-                with suppress(DeviceError):  # it is safe, which is what counts
+                with suppress(DeviceError):  # the drive is safe; parameters that stay changed do no harm
                     for path, value in reversed(self._values_before.items()):
                         self._parameters.write(path, value)
             self._connected = False
@@ -241,7 +248,7 @@ class OdriveCan(EngagingDrive):
         answers.came[ENCODER] = answers.came[IQ] = False
         if self._mode is Mode.OFF:
             if self.axis_state != AxisState.IDLE:
-                self._set_state(AxisState.IDLE)  # until it says so
+                self._set_state(AxisState.IDLE)  # until the drive reports it
         elif self._enable_by > -math.inf and not self.engaged:
             self._go_towards_operation(self._clock.now())
         if self._supervised:
@@ -273,8 +280,8 @@ class OdriveCan(EngagingDrive):
             if not encoder:
                 values[4] = values[5] = NAN
         if engaged:
-            self._enable_by = -math.inf  # from here on, leaving operation is the drive's own doing
-        self._judge(now, engaged)
+            self._enable_by = -math.inf  # from now on, only the drive itself can leave operation
+        self._check_operation(now, engaged)
 
     def feed(self) -> None:
         """Allow the next demand, which feeds the drive's watchdog; query the bus voltage if that is due."""
@@ -283,7 +290,7 @@ class OdriveCan(EngagingDrive):
         if now >= self._bus_voltage_due:
             self._bus_voltage_due = now + self.settings.bus_voltage_period_s
             self._send(Command.GET_BUS_VOLTAGE_CURRENT)
-            self._answers.watched = True  # an answer that came twice would put the later ones off
+            self._answers.watched = True  # an answer that came twice would shift all later ones
 
     def take(self) -> list[Row]:
         """Bus voltages since the last call."""
@@ -295,24 +302,24 @@ class OdriveCan(EngagingDrive):
         lines, now = [], self._clock.now()
         irregular = self._answers.irregular
         if irregular != self._reported and (now >= self._quiet_until or self._mode is Mode.OFF):
-            self._quiet_until, self._reported = now + QUIET_S, replace(irregular)
+            self._quiet_until, self._reported = now + NOTICE_PERIOD_S, replace(irregular)
             lines.append(str(irregular))
         return lines + self._port.notices()
 
-    # -- on the way into operation -----------------------------------------------------------------------------------
+    # -- entering operation ------------------------------------------------------------------------------------------
 
     def _follow(self, mode: Mode) -> None:
-        """Turn to a mode with zero demand; earlier reports of the drive belong to the mode before."""
+        """Change to a mode with zero demand; earlier reports of the drive belong to the mode before."""
         self._mode, self._value = mode, 0.0
-        self._reference, self._control_mode, self._input_mode = FOLLOWED.get(mode, (ANGLE, 0, 0))
+        self._reference, self._control_mode, self._input_mode = REFERENCES_AND_MODES.get(mode, (ANGLE, 0, 0))
         self._enable_by, self._ask_at = math.inf, -math.inf
         self._asked_closed_loop, self.axis_state = False, AxisState.UNDEFINED
-        for path in READ_BACK:
+        for path in READ_BACK_PARAMETERS:
             self._parameters.shown.pop(path, None)
 
     def _ask_back(self) -> None:
-        """Query anew what the drive must report before it is engaged."""
-        for path in READ_BACK:
+        """Query again the parameters that the drive must report before it is engaged."""
+        for path in READ_BACK_PARAMETERS:
             self._parameters.shown.pop(path, None)
             self._parameters.ask(path)
 
@@ -334,7 +341,7 @@ class OdriveCan(EngagingDrive):
         if self._reference == ANGLE:
             self._value = self._turns * self._turn
         if math.isnan(self._turns) or now < self._ask_at or self.axis_state == AxisState.UNDEFINED:
-            return  # until it is known where the shaft is, and what the axis does
+            return  # until the drive has reported its angle and its state
         if not self._asked_closed_loop and self.axis_state != AxisState.IDLE:
             self._set_state(AxisState.IDLE)
         elif not self._is_ready():
@@ -344,11 +351,11 @@ class OdriveCan(EngagingDrive):
         elif self.axis_state != AxisState.CLOSED_LOOP_CONTROL:
             if not self._supervised:
                 return
-            self._send_input()  # before it counts: what another host has left there must not be followed for a moment
+            self._send_input()  # before closed loop, so that the axis never follows an input left by another host
             self._set_state(AxisState.CLOSED_LOOP_CONTROL)
-            self._ask_back()  # a drive that has restarted since it reported them follows the command all the same
+            self._ask_back()  # a drive that has restarted since its report obeys, with other parameters
             self._asked_closed_loop = True
-        self._ask_at = now + RETRY_S
+        self._ask_at = now + STEP_PAUSE_S
 
     def _send_input(self) -> None:
         if self._reference == VELOCITY:
@@ -360,10 +367,10 @@ class OdriveCan(EngagingDrive):
         else:
             self._send(Command.SET_INPUT_TORQUE, ONE_FLOAT.pack(0.0))
 
-    def _judge(self, now: float, engaged: bool) -> None:
+    def _check_operation(self, now: float, engaged: bool) -> None:
         """Raise the reason why the drive is not in operation although it should be."""
         if self.errors:
-            raise DeviceFault(f"{self.name}: {described(self.errors)}")
+            raise DeviceFault(f"{self.name}: {error_names(self.errors)}")
         if now > self._heard_until:
             raise NoAnswer(f"{self.name}: no heartbeat of node {self.settings.node} for {self._silence:.3f} s")
         if self._mode is Mode.OFF or engaged:
@@ -404,7 +411,7 @@ class OdriveCan(EngagingDrive):
     def _identify(self) -> None:
         """Check that one drive of this node answers and has the firmware of the table of endpoints."""
         self._versions.clear()
-        asked = next((count for count in (1, 2, 3) if self._has_taken_all(self._clock.now() + 0.25)), 0)
+        asked = next((count for count in (1, 2, 3) if self._wait_for_version(self._clock.now() + 0.25)), 0)
         if not asked:
             raise NoAnswer(f"{self.name}: node {self.settings.node} does not tell its version; node, bit rate, power?")
         if self._is_shared(asked):
@@ -424,40 +431,40 @@ class OdriveCan(EngagingDrive):
             )
 
     def _is_shared(self, asked: int) -> bool:
-        """Whether two drives have answered so many questions: two versions, or twice the same again and again.
+        """Whether two drives answer as this node: different versions came, or too many at each repeated query.
 
-        A disturbed end of frame makes a sender repeat what has arrived already (ISO 11898-1): one frame too many may
-        be of one drive. A second drive answers every question.
+        A disturbed end of frame makes a sender repeat a frame that has arrived (ISO 11898-1): one frame too many may be
+        of one drive. A second drive answers every query.
         """
         self._port.pump_until((False,), self._clock.now() + SECOND_ANSWER_S)
         if len(self._versions) <= asked:
             return False
-        for _ in range(REPEATED_QUESTIONS):
+        for _ in range(REPEATED_QUERIES):
             if len(set(self._versions)) > 1:
                 return True
             self._versions.clear()
-            self._has_taken_all(self._clock.now() + 0.25)
+            self._wait_for_version(self._clock.now() + 0.25)
             self._port.pump_until((False,), self._clock.now() + SECOND_ANSWER_S)
             if len(self._versions) > 1:
                 return True
         return False
 
-    def _take_over(self, path: str, value: float) -> None:
+    def _set_until_close(self, path: str, value: float) -> None:
         """Set a parameter that is restored at `close`."""
         before = self._parameters.read(path)
         self._parameters.write(path, value)
         self._values_before[path] = before
 
-    def _leave_errors(self) -> None:
+    def _clear_errors(self) -> None:
         """Clear the error that the end of an earlier host left, and other errors if the settings say so."""
         if self.errors and (self.settings.reset_fault_at_start or self.errors == WATCHDOG_TIMER_EXPIRED):
             self._send(Command.CLEAR_ERRORS, b"\x00")
             soon = self._clock.now() + 0.25
-            if not (self._has_taken_all(soon) and self._hears(soon)):
+            if not (self._wait_for_version(soon) and self._wait_for_heartbeat(soon)):
                 raise NoAnswer(f"{self.name}: does not answer after its errors were cleared")
         if self.errors:
             raise DeviceFault(
-                f"{self.name}: {described(self.errors)}; reset_fault_at_start: true clears it when its cause is gone"
+                f"{self.name}: {error_names(self.errors)}; reset_fault_at_start: true clears it when its cause is gone"
             )
 
     def _read_scales(self) -> None:
@@ -470,13 +477,13 @@ class OdriveCan(EngagingDrive):
         self._torque_per_ampere = self.settings.sign * constant * AMPLITUDE
         self._most_current, self._most_turns_s = most / AMPLITUDE, turns
 
-    def _has_taken_all(self, until: float) -> bool:
-        """Query the version: frames keep their order, so the answer proves that earlier frames were received."""
+    def _wait_for_version(self, until: float) -> bool:
+        """Query the version; returns whether it came, and with it, as frames keep their order, all earlier frames."""
         self._version_came[0] = False
         self._send(Command.GET_VERSION)
         return self._port.pump_until(self._version_came, until)
 
-    def _hears(self, until: float) -> bool:
+    def _wait_for_heartbeat(self, until: float) -> bool:
         """Wait for the next heartbeat; returns whether one came."""
         self._beat[0] = False
         return self._port.pump_until(self._beat, until)

@@ -28,7 +28,7 @@ from leactl_plugins.odrive_can.can_simple import (
 
 DRV_FAULT = 0x20
 TO_AMPLITUDE, TURN = math.sqrt(2.0 / 3.0), 2.0 * math.pi
-FED_BY = (Command.SET_AXIS_STATE, Command.SET_INPUT_POS, Command.SET_INPUT_VEL, Command.SET_INPUT_TORQUE)
+WATCHDOG_COMMANDS = (Command.SET_AXIS_STATE, Command.SET_INPUT_POS, Command.SET_INPUT_VEL, Command.SET_INPUT_TORQUE)
 
 
 class OdriveEmulator:
@@ -105,7 +105,7 @@ class OdriveEmulator:
         if self.frozen or identifier >> NODE_SHIFT != self._base >> NODE_SHIFT:
             return []
         command = identifier & (1 << NODE_SHIFT) - 1
-        if command in FED_BY:
+        if command in WATCHDOG_COMMANDS:
             self._fed = now
         if not data:
             return self._answer(command)

@@ -17,7 +17,7 @@ INPUT_MODE = "axis0.controller.config.input_mode"
 HEARTBEAT_PERIOD = "axis0.config.can.heartbeat_msg_rate_ms"
 ENCODER_PERIOD = "axis0.config.can.encoder_msg_rate_ms"  # of readings that are sent unasked; 0 is never
 CURRENT_PERIOD = "axis0.config.can.iq_msg_rate_ms"
-NEEDED = (
+REQUIRED_PARAMETERS = (
     ENABLE_WATCHDOG,
     WATCHDOG_TIMEOUT,
     TORQUE_CONSTANT,
@@ -39,7 +39,7 @@ FORMATS = {
     "int32": "i",
     "float": "f",
 }
-EMULATED = "emulated"  # stands for the table of the emulated drive
+EMULATED_TABLE = "emulated"  # in place of a path: the table of the emulated drive
 
 
 class Endpoint(NamedTuple):
@@ -50,7 +50,7 @@ class Endpoint(NamedTuple):
 
 
 class EndpointTable(NamedTuple):
-    """The needed parameters of one firmware on one hardware."""
+    """The required parameters of one firmware on one hardware."""
 
     firmware: str  # "0.6.10"
     hardware: str  # "4.4.58"
@@ -63,23 +63,25 @@ def read_table(path: str) -> EndpointTable:
 
     Raises
     ------
-    ValueError : it cannot be read, is none, or lacks a parameter that is needed.
+    ValueError : it cannot be read, has another form, or lacks a required parameter.
     """
     try:
-        if path == EMULATED:
+        if path == EMULATED_TABLE:
             text = resources.files(__package__).joinpath("emulated_endpoints.json").read_text("utf-8")
         else:
             text = Path(path).expanduser().read_text("utf-8")
         data: Any = json.loads(text)
         firmware, hardware, endpoints = data["fw_version"], data["hw_version"], data["endpoints"]
-        needed = {path: Endpoint(int(endpoints[path]["id"]), _layout(endpoints[path]["type"])) for path in NEEDED}
+        required = {
+            path: Endpoint(int(endpoints[path]["id"]), _layout(endpoints[path]["type"])) for path in REQUIRED_PARAMETERS
+        }
     except OSError as error:
         raise ValueError(f"'{path}' cannot be read: {error.strerror or error}") from None
     except KeyError as error:
         raise ValueError(f"'{path}' has no {error}; the flat_endpoints.json of firmware 0.6 was expected") from None
     except (ValueError, TypeError) as error:
         raise ValueError(f"'{path}' is no flat_endpoints.json: {error}") from None
-    return EndpointTable(str(firmware).partition("-")[0], str(hardware), needed)
+    return EndpointTable(str(firmware).partition("-")[0], str(hardware), required)
 
 
 def _layout(kind: str) -> struct.Struct:

@@ -5,8 +5,8 @@ from leactl.errors import DeviceError, NoAnswer
 from leactl_plugins.odrive_can.can_simple import NODE_SHIFT, PARAMETER, READ, WRITE, Command
 from leactl_plugins.odrive_can.endpoints import EndpointTable
 
-TRIES = 3  # of one question or one write: a frame may get lost
-NEAR = 1e-6  # of a value, for the drive's single precision
+MOST_TRIES = 3  # of one query or one write: a frame may get lost
+READ_BACK_TOLERANCE = 1e-6  # share of a value, for the drive's single precision
 
 
 class Parameters:
@@ -18,7 +18,7 @@ class Parameters:
         self._endpoints = table.endpoints
         self._paths = {endpoint.number: path for path, endpoint in table.endpoints.items()}
         self._awaited, self._came = "", [False]
-        self.shown: dict[str, float] = {}  # newest reported value of each
+        self.shown: dict[str, float] = {}  # newest reported value by path
 
     def ask(self, path: str) -> None:
         """Query a parameter without waiting; its value arrives in `shown`."""
@@ -36,14 +36,14 @@ class Parameters:
 
         Raises
         ------
-        NoAnswer : the drive has not answered in time, as often as it was asked.
+        NoAnswer : the drive has answered none of `MOST_TRIES` queries in time.
         """
-        for _ in range(TRIES):
+        for _ in range(MOST_TRIES):
             self._awaited, self._came[0] = path, False
             self.ask(path)
             if self._port.pump_until(self._came, self._port.clock.now() + self._timeout_s):
                 return self.shown[path]
-        raise NoAnswer(f"{self._name}: {path} was not answered in {TRIES} times {self._timeout_s:g} s")
+        raise NoAnswer(f"{self._name}: {path} was not answered in {MOST_TRIES} times {self._timeout_s:g} s")
 
     def write(self, path: str, value: float) -> None:
         """Set a parameter and read it back.
@@ -52,7 +52,7 @@ class Parameters:
         ------
         DeviceError : another value reads back; `NoAnswer` if the drive does not answer.
         """
-        for _ in range(TRIES):
+        for _ in range(MOST_TRIES):
             self.tell(path, value)
             read_back = self.read(path)
             if self.is_near(read_back, value):
@@ -66,7 +66,7 @@ class Parameters:
     @staticmethod
     def is_near(shown: float | None, value: float) -> bool:
         """Whether a reported value equals this one."""
-        return shown is not None and abs(shown - value) <= NEAR * abs(value)
+        return shown is not None and abs(shown - value) <= READ_BACK_TOLERANCE * abs(value)
 
     def on_frame(self, data: bytearray, _timestamp: float) -> None:
         """Receive an answer; one without a value confirms a write (firmware 0.6.11)."""

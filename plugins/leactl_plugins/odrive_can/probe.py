@@ -12,17 +12,17 @@ from leactl_plugins.odrive_can.can_simple import (
     HEARTBEAT,
     NODE_SHIFT,
     PROTOCOL,
-    REPEATED_QUESTIONS,
+    REPEATED_QUERIES,
     VERSION,
     Command,
     hardware_and_firmware,
     identifiers_of,
 )
 
-LAST_NODE = 62  # 63 is that of a drive without a node
+LAST_NODE = 62  # 63 stands for a drive without a node
 STATES = range(1, 15)  # of an axis, as heartbeats show them (firmware 0.6)
 KNOWN_ERRORS = sum(ERRORS)
-OF_A_HOST = (
+HOST_COMMANDS = (
     Command.RX_SDO,
     Command.SET_AXIS_STATE,
     Command.SET_CONTROLLER_MODE,
@@ -31,7 +31,7 @@ OF_A_HOST = (
     Command.SET_INPUT_TORQUE,
 )
 ANSWER_S = 0.2
-MOST_ANSWERS = 3  # that are kept of a node
+MOST_ANSWERS = 3  # kept of each node
 
 
 class OdriveProbe(CanProbe):
@@ -48,7 +48,7 @@ class OdriveProbe(CanProbe):
         nodes = self.heard(frames)
         for identifier, data in frames:
             node, command = identifier >> NODE_SHIFT, identifier & (1 << NODE_SHIFT) - 1
-            if node in nodes and command in OF_A_HOST and data:
+            if node in nodes and command in HOST_COMMANDS and data:
                 return f"a command to the ODrive at node {node}"
         return ""
 
@@ -64,13 +64,13 @@ class OdriveProbe(CanProbe):
                 yield f"node {node}: what may be an ODrive's heartbeat has an identifier of another device; not asked"
                 continue
             if query == SYNC_ID or query in taken:
-                yield _unasked(node)
+                yield _sighting_unasked(node)
                 continue
             answers: list[bytes] = []
             port.listen(query, partial(_keep, answers))
             try:
                 _ask_once(port, query)
-                for _ in range(REPEATED_QUESTIONS):
+                for _ in range(REPEATED_QUERIES):
                     if len(answers) < 2 or len(set(answers)) > 1:
                         break
                     del answers[:]  # a frame may have come twice; a second drive answers every question
@@ -100,7 +100,7 @@ def _keep(answers: list[bytes], data: bytearray, _timestamp: float) -> None:
         answers.append(bytes(data))
 
 
-def _unasked(node: int) -> Sighting:
+def _sighting_unasked(node: int) -> Sighting:
     reason = "its version was not asked for: to CANopen devices that question is a command"
     return Sighting(node, Identity("ODrive"), {"node": node}, f"heard by its heartbeat; {reason}")
 

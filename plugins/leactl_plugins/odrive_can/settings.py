@@ -12,7 +12,7 @@ from leactl_plugins.odrive_can.endpoints import EndpointTable, read_table
 class OdriveSettings(DriverSettings):
     """Everything that differs from drive to drive."""
 
-    node: Annotated[int, Field(strict=True, ge=0, le=62)]  # 63 is that of a drive without a node
+    node: Annotated[int, Field(strict=True, ge=0, le=62)]  # 63 stands for a drive without a node
     endpoints: str  # path of the firmware's flat_endpoints.json, or "emulated"
     sign: Literal[-1, 1] = 1
     watchdog_ms: Annotated[int, Field(strict=True, ge=10, le=round(SAFE_STATE_S * 1000))] = 100
@@ -20,7 +20,7 @@ class OdriveSettings(DriverSettings):
     bus_voltage_period_s: Annotated[float, Field(strict=True, ge=0.05, le=60)] = 0.2
     answer_timeout_s: Annotated[float, Field(strict=True, gt=0, le=SAFE_STATE_S)] = 0.1
     reset_fault_at_start: bool = False
-    # what the emulated drive holds; a real one's own values are read from it
+    # of the emulated drive; the values of a real drive are read from it
     emulated_torque_constant_Nm_per_A: Annotated[float, Field(strict=True, gt=0)] = 0.6  # noqa: N815
     emulated_current_soft_max_A: Annotated[float, Field(strict=True, gt=0)] = 40.0  # noqa: N815
 
