@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from leactl_plugins.thermal_csv.driver import ThermalCsv
-from leactl_plugins.thermal_csv.emulator import BEFORE_S, FAST_PPM
+from leactl_plugins.thermal_csv.emulator import CLOCK_FAST_PPM, LEAD_S
 
 from leactl.analysis.analyze import analyze_runs
 from leactl.bench import benchfile
@@ -77,8 +77,8 @@ def test_the_export_is_on_the_runs_clock_and_shows_the_plant(heated):
         # the supply's clock is the bench's: its current jumps within a cycle and a reading of when it was switched on
         current = run.channel("line_current", "test")
         start = began[0] - current.time[np.flatnonzero(current.values)[0]]
-        assert about["alignment_offset_s"] == pytest.approx(-BEFORE_S - start, abs=about["alignment_uncertainty_s"])
-        drift = 1e-6 * (FAST_PPM + about["alignment_drift_uncertainty_ppm"])
+        assert about["alignment_offset_s"] == pytest.approx(-LEAD_S - start, abs=about["alignment_uncertainty_s"])
+        drift = 1e-6 * (CLOCK_FAST_PPM + about["alignment_drift_uncertainty_ppm"])
         assert about["alignment_rate"] == pytest.approx(1.0, abs=drift)
         assert about["alignment_uncertainty_s"] < 0.3
         for row, (quantity, place) in enumerate(

@@ -6,7 +6,7 @@ import os
 import numpy as np
 import pytest
 import yaml
-from leactl_plugins.thermal_csv.emulator import BEFORE_S
+from leactl_plugins.thermal_csv.emulator import LEAD_S
 
 from leactl.bench import benchfile
 from leactl.driver.file_records import ExportFolder
@@ -78,7 +78,7 @@ def test_the_drives_recording_joins_the_run_where_it_was_made(spin, tmp_path):
 
 
 def test_a_camera_looks_at_the_actuator_and_its_export_joins(spin, tmp_path):
-    clock = {"offset_s": -BEFORE_S, "offset_within_s": 0.5}
+    clock = {"offset_s": -LEAD_S, "offset_within_s": 0.5}
     bench = bench_with(tmp_path, camera=camera(tmp_path, clock=clock, decimal=",", delimiter=";", unit="degF"))
     outcome, _ = spin(SPIN.replace("$hold_s", "3.0"), bench=bench)
     assert not outcome.notes, "\n".join(outcome.notes)
@@ -101,7 +101,7 @@ def test_a_record_that_cannot_join_is_told_and_the_run_is_whole(spin, tmp_path):
 
 
 def test_every_emulated_run_has_a_folder_of_its_own_below_the_one_that_is_set(spin, tmp_path):
-    clock = {"offset_s": -BEFORE_S, "offset_within_s": 0.5}
+    clock = {"offset_s": -LEAD_S, "offset_within_s": 0.5}
     for folder in ("camera", str(tmp_path / "elsewhere")):  # the first where the runs lie
         bench = bench_with(tmp_path, camera=camera(tmp_path, clock=clock, exports_folder=folder))
         for _ in range(2):

@@ -28,13 +28,13 @@ from leactl_plugins.ads1115.settings import (
     Ads1115Settings,
 )
 
-CONVERTED_BY = 0x7FE0  # mask of pins, range, mode and rate; the comparator's bits are ignored, since it is off
+CONVERSION_BITS = 0x7FE0  # mask of pins, range, mode and rate; the comparator's bits are ignored, since it is off
 POWER_DOWN = 0x8583 & ~START  # the reset value, without starting a conversion
 RATE_TOLERANCE = 1.1  # the internal clock is good to 10 %
-WAKE_UP_S = 25e-6
-GIVE_UP_FACTOR = 4.0
-LONGEST_START_S = 0.005  # of the four bytes that start a conversion, over a slow USB adapter
-MOST_HELD_UP = 20
+WAKE_UP_S = 25e-6  # before a conversion
+TIMEOUT_FACTOR = 4.0  # longest conversion, over its nominal time
+LONGEST_START_S = 0.005  # for the four bytes that start a conversion, over a slow USB adapter
+MOST_SLOW_STARTS = 20  # in sequence
 
 
 class _Converter:
@@ -89,7 +89,7 @@ class Ads1115(Driver):
         self._converters = [_Converter(name, item, single) for item in settings.inputs]
         self._turn = 0
         self._started: float | None = None
-        self._held_up = 0  # starts one after the other that took too long
+        self._slow_starts = 0  # starts in sequence that took too long
         self._opened = False
 
     def safe_state(self, deadline_s: float) -> Confirmation:
@@ -161,7 +161,7 @@ class Ads1115(Driver):
             return ()
         config = self._port.read(self._address, CONFIG)
         if not config & START:
-            if waited > GIVE_UP_FACTOR * converter.conversion_s:
+            if waited > TIMEOUT_FACTOR * converter.conversion_s:
                 raise NoAnswer(f"{self.name}: a conversion has not ended after {waited:.4f} s")
             return ()
         row = self._row(converter, config, self._port.read(self._address, CONVERSION), started)
@@ -180,8 +180,8 @@ class Ads1115(Driver):
         ------
         DeviceError : a zero would move further from the calibrated one than `tare_limit_V`; no zero is changed then.
         """
-        tared = [converter for converter in self._converters if converter.stream in means]
-        for converter in tared:
+        converters = [converter for converter in self._converters if converter.stream in means]
+        for converter in converters:
             moved = converter.offset + means[converter.stream] - converter.calibrated
             if not abs(moved) <= converter.most_tare:
                 item = converter.settings
@@ -190,9 +190,9 @@ class Ads1115(Driver):
                     f" ({moved:+.4g} {UNITS[item.quantity]}); tare_limit_V is {item.most_tare_V:g} V: take the load off"
                     " the sensor, or mend offset_V"
                 )
-        for converter in tared:
+        for converter in converters:
             converter.offset += means[converter.stream]
-        return {converter.settings.name: converter.offset for converter in tared}
+        return {converter.settings.name: converter.offset for converter in converters}
 
     def _start(self) -> None:
         converter, before = self._converters[self._turn], self._clock.now()
@@ -200,30 +200,30 @@ class Ads1115(Driver):
         after = self._clock.now()
         took, most = after - before, LONGEST_START_S + converter.conversion_s
         if took <= most:
-            self._started, self._held_up = after, 0
+            self._started, self._slow_starts = after, 0
             return
-        # nobody knows when the conversion began; the next call starts one anew
-        self._started, self._held_up = None, self._held_up + 1
-        if self._held_up == MOST_HELD_UP:
+        # the conversion began at an unknown time; the next call starts another one
+        self._started, self._slow_starts = None, self._slow_starts + 1
+        if self._slow_starts == MOST_SLOW_STARTS:
             raise NoAnswer(
-                f"{self.name}: {MOST_HELD_UP} starts of a conversion one after the other took more than"
+                f"{self.name}: {MOST_SLOW_STARTS} starts of a conversion one after the other took more than"
                 f" {1e3 * most:.3g} ms, the last {1e3 * took:.3g} ms: its readings have no known time; is the"
                 " bus slow, or the host busy?"
             )
 
-    def _row(self, converter: _Converter, held: int, raw: int, started: float) -> Row:
+    def _row(self, converter: _Converter, config: int, raw: int, started: float) -> Row:
         count = raw - 0x10000 if raw & 0x8000 else raw
         stamp = started + converter.conversion_s / 2
-        if (held ^ converter.config) & CONVERTED_BY or not converter.lowest <= count <= converter.highest:
-            return Row(converter.stream, stamp, (math.nan,), self._fault(converter, held, count))
+        if (config ^ converter.config) & CONVERSION_BITS or not converter.lowest <= count <= converter.highest:
+            return Row(converter.stream, stamp, (math.nan,), self._fault(converter, config, count))
         return Row(converter.stream, stamp, (count * converter.per_count - converter.offset,))
 
-    def _fault(self, converter: _Converter, held: int, count: int) -> str:
+    def _fault(self, converter: _Converter, config: int, count: int) -> str:
         item = converter.settings
-        if (held ^ converter.config) & CONVERTED_BY:
+        if (config ^ converter.config) & CONVERSION_BITS:
             return (
-                f"input {item.name} was converted by config 0x{held:04X}, 0x{converter.config:04X} was written; was the"
-                " converter reset, or is there another program on the bus?"
+                f"input {item.name} was converted by config 0x{config:04X}, 0x{converter.config:04X} was written; was"
+                " the converter reset, or is there another program on the bus?"
             )
         if count in (0x7FFF, -0x8000):
             return f"input {item.name} is saturated at {'+' if count > 0 else '-'}{item.range_V} V"

@@ -26,10 +26,10 @@ class Ads1115Emulator:
         self._period_factor = 1.0 / (1.0 + clock_error)
         self._registers = [0x0000, 0x8583, 0x8000, 0x7FFF]
         self._ends: float | None = None
-        self.due = math.inf  # when a conversion under way is half done
+        self.due = math.inf  # middle of the present conversion [s]
         self._converting = self._sampled = 0
-        self._shown: int | None = None  # the config that a store holds, as far as is known here
-        self._answering = False  # the store's last word was a start
+        self._stored_config: int | None = None  # configuration that was last read from a store or written to it
+        self._answering = False  # whether the store's last word was a start
 
     def read(self, register: int, now: float) -> int:
         """Read a register."""
@@ -53,20 +53,20 @@ class Ads1115Emulator:
         The host starts each conversion with the same word. The stored configuration therefore differs from that word in
         one bit, during and after a conversion, and any other stored word is a start.
         """
-        if self._shown is None:
-            self._shown = self.read(CONFIG, now)
+        if self._stored_config is None:
+            self._stored_config = self.read(CONFIG, now)
             for register, value in enumerate(self._registers):
                 store.write(register, value)
             return
         asked = store.read(CONFIG)
-        if asked != self._shown:
+        if asked != self._stored_config:
             self.write(CONFIG, asked, now)
-            self._shown, self._answering = asked, bool(asked & _OS)
+            self._stored_config, self._answering = asked, bool(asked & _OS)
         held = self.read(CONFIG, now) ^ HANDLED_BIT
-        if self._answering and held != self._shown:
+        if self._answering and held != self._stored_config:
             store.write(CONVERSION, self._registers[CONVERSION])
             store.write(CONFIG, held)
-            self._shown = held
+            self._stored_config = held
 
     def tick(self, now: float) -> None:
         """Sample the input at the middle of a conversion."""

@@ -11,7 +11,7 @@ from leactl.errors import NoAnswer
 from leactl_plugins.ads1115.settings import COMPARATOR_OFF, CONFIG, SINGLE_SHOT, START
 
 ADDRESSES = range(0x48, 0x4C)
-AT_REST = START | SINGLE_SHOT | COMPARATOR_OFF  # idle, in single-shot mode, comparator off (TI SBAS444, 9.6.3)
+REST_CONFIG = START | SINGLE_SHOT | COMPARATOR_OFF  # idle, in single-shot mode, comparator off (TI SBAS444, 9.6.3)
 ALL_ONES = 0xFFFF  # read from a bus that no device drives
 AFTER_RESET = 0x8583
 
@@ -27,7 +27,7 @@ class Ads1115Probe(I2cProbe):
             except NoAnswer:
                 continue
             detail = f"register 1 holds 0x{config:04X}"
-            if config == ALL_ONES or config & AT_REST != AT_REST:
+            if config == ALL_ONES or config & REST_CONFIG != REST_CONFIG:
                 yield Sighting(address, Identity(), None, f"{detail}; not that of an ADS1115 at rest")
             elif config == AFTER_RESET:
                 yield Sighting(address, Identity("ADS1115"), {"address": address}, f"{detail}, as after its reset")

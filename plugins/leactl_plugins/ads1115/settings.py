@@ -14,7 +14,7 @@ COMPARATOR_OFF = 0x0003
 MUX = {"A0-A1": 0, "A0-A3": 1, "A1-A3": 2, "A2-A3": 3, "A0": 4, "A1": 5, "A2": 6, "A3": 7}
 RANGES_V = {6.144: 0, 4.096: 1, 2.048: 2, 1.024: 3, 0.512: 4, 0.256: 5}
 RATES_SPS = (8, 16, 32, 64, 128, 250, 475, 860)
-TARE_SHARE = 0.05  # of the range: what a zero drifts by, and no load of note
+TARE_SHARE = 0.05  # of the range: more than a zero drifts, and less than a considerable load
 Volts = Annotated[float, Field(strict=True, ge=-6.144, le=6.144)]
 
 

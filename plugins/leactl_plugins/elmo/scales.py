@@ -22,14 +22,14 @@ class CountedPosition:
 
     def __init__(self, low: int, high: int) -> None:
         self._low, self._span = low, high - low
-        self._unmet = low - 2 * self._span  # further than any reading, which is taken as it is
-        self.counts = self._unmet
-        self.located = False  # the shaft's angle is known since operation was asked for
+        self._unknown = low - 2 * self._span  # outside the range; the first reading is not unwrapped
+        self.counts = self._unknown
+        self.located = False  # whether the shaft's angle was read since operation was commanded
         self.half = (high - low) // 2
 
     def nearest(self, counts: int) -> int:
         """Unwrapped position, closest to the last one, for counts of the drive."""
-        if self.counts == self._unmet:
+        if self.counts == self._unknown:
             return counts
         return self.counts + (counts - self.counts + self.half) % self._span - self.half
 

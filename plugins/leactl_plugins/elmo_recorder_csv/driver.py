@@ -25,7 +25,7 @@ from leactl_plugins.elmo.scales import CountedPosition
 from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, RecordedSignal
 
 SECONDS_NAMED = {**SECONDS, "sec": 1.0, "seconds": 1.0, "msec": 1e-3, "usec": 1e-6, "µs": 1e-6}
-UNEVEN = 0.01  # of the interval: a recorder samples by a timer
+INTERVAL_TOLERANCE = 0.01  # range of the intervals over their median; a recorder samples by a timer
 
 
 class ElmoRecorderCsv(Driver):
@@ -106,11 +106,11 @@ class ElmoRecorderCsv(Driver):
             for heading in dict.fromkeys([*filter(None, [time_heading]), *headings_by_signal.values()])
         }
         numbers, convention = read_numbers(columns, settings, table.place, {})
-        time, told_time = self._time(table, numbers.get(time_heading), time_heading)
-        told_wraps: list[str] = []
+        time, time_remark = self._time(table, numbers.get(time_heading), time_heading)
+        wrap_remarks: list[str] = []
         values = np.stack(
             [
-                self._converted(table, headings_by_signal[name], signal, numbers, told_wraps)
+                self._convert(table, headings_by_signal[name], signal, numbers, wrap_remarks)
                 for name, signal in settings.signals.items()
             ],
             axis=1,
@@ -128,7 +128,7 @@ class ElmoRecorderCsv(Driver):
             f"{headings_by_signal[name]} as {self._unit(table, headings_by_signal[name], signal)}"
             for name, signal in settings.signals.items()
         ]
-        remarks = (*table.remarks, str(convention), *read_as, *told_wraps, told_time, *rows.remarks)
+        remarks = (*table.remarks, str(convention), *read_as, *wrap_remarks, time_remark, *rows.remarks)
         return FileRecord(
             self.name, self.channels, rows.time - rows.time[0], rows.values, None, interval, remarks, tuple(paths)
         )
@@ -146,7 +146,7 @@ class ElmoRecorderCsv(Driver):
             raise InputError(f"{table.path}: {heading!r} is in {named}; time_units says {units}")
         time = stamps.values * SECONDS_NAMED[units]
         steps = np.diff(time)
-        if len(steps) and float(np.ptp(steps)) > UNEVEN * float(np.median(steps)):
+        if len(steps) and float(np.ptp(steps)) > INTERVAL_TOLERANCE * float(np.median(steps)):
             return time, f"stamps in {units}, UNEVEN: {steps.min():.6g} to {steps.max():.6g} s apart"
         return time, f"stamps in {units}"
 
@@ -167,13 +167,13 @@ class ElmoRecorderCsv(Driver):
             raise InputError(f"{table.path}: {heading!r} is in {named!r}, which does not measure {signal.quantity}")
         return named
 
-    def _converted(
+    def _convert(
         self,
         table: Table,
         heading: str,
         signal: RecordedSignal,
         numbers_by_heading: dict[str, Numbers],
-        told_wraps: list[str],
+        wrap_remarks: list[str],
     ) -> Array:
         numbers, units, settings = numbers_by_heading[heading], self._unit(table, heading, signal), self.settings
         if numbers.outside:
@@ -186,7 +186,7 @@ class ElmoRecorderCsv(Driver):
             if settings.counts_per_turn is None:
                 raise InputError(f"{table.path}: {heading!r} is in {units}; counts_per_turn is needed")
             if signal.quantity.removesuffix("_reference") == "angle":
-                values = self._unwrapped(table, heading, values, told_wraps)
+                values = self._unwrap(table, heading, values, wrap_remarks)
             return settings.sign * values * (2.0 * math.pi / settings.counts_per_turn)
         conversion = converter(units, signal.quantity)
         assert conversion is not None
@@ -196,7 +196,7 @@ class ElmoRecorderCsv(Driver):
         signed: Array = values if signal.quantity == "bus_voltage" else settings.sign * values
         return signed
 
-    def _unwrapped(self, table: Table, heading: str, counts: Array, told_wraps: list[str]) -> Array:
+    def _unwrap(self, table: Table, heading: str, counts: Array, wrap_remarks: list[str]) -> Array:
         """Counts that continue where the drive's own counts wrap at the end of its range.
 
         Raises
@@ -223,7 +223,7 @@ class ElmoRecorderCsv(Driver):
                 wraps.append(int(row))
             shifts[row] = shift
         if wraps:
-            told_wraps.append(
+            wrap_remarks.append(
                 f"{heading} wraps {len(wraps)} times at the end of {low} to {high} counts, first at"
                 f" {table.place(heading, wraps[0])}: unwrapped"
             )

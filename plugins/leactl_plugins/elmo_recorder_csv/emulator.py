@@ -8,10 +8,10 @@ from leactl.errors import InputError
 from leactl.tables.writing import TableDialect, new_export
 from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, RecordedSignal
 
-BUFFER = 16384  # samples of all signals together (recorder of the Gold line, by an open client's notes)
+BUFFER_SAMPLES = 16384  # samples of all signals together (recorder of the Gold line, by an open client's notes)
 INTERVAL_S = 1e-3
-STARTS_S = 0.5  # after the bench was made: the trigger
-READS = ("q_axis_current", "velocity", "angle", "bus_voltage")
+TRIGGER_S = 0.5  # time of the trigger
+MACHINE_QUANTITIES = ("q_axis_current", "velocity", "angle", "bus_voltage")
 UNITS = {"q_axis_current": "A", "velocity": "cnt/sec", "angle": "cnt", "bus_voltage": "V"}
 
 
@@ -19,14 +19,15 @@ class RecorderEmulator:
     """A recorder that fills its buffer once, with the tool that saves it."""
 
     def __init__(self, folder: Path, name: str, settings: ElmoRecorderCsvSettings, machine: Machine) -> None:
-        if unknown := [s.quantity for s in settings.signals.values() if s.quantity not in READS]:
-            raise InputError(f"signals: an emulated recorder has no {', '.join(unknown)}; it has {', '.join(READS)}")
+        if unknown := [s.quantity for s in settings.signals.values() if s.quantity not in MACHINE_QUANTITIES]:
+            known = ", ".join(MACHINE_QUANTITIES)
+            raise InputError(f"signals: an emulated recorder has no {', '.join(unknown)}; it has {known}")
         self._folder, self._name, self._settings, self._machine = folder, name, settings, machine
         self._interval = settings.interval_s or INTERVAL_S
-        self._samples = BUFFER // len(settings.signals)
+        self._samples = BUFFER_SAMPLES // len(settings.signals)
         self._dialect = TableDialect.of(settings, decimals=6)
         self._rows: list[list[float]] = []
-        self._starts = STARTS_S
+        self._starts = TRIGGER_S
         self._saved = False
 
     @property
@@ -40,13 +41,13 @@ class RecorderEmulator:
             return
         if not self._rows:
             self._starts = now
-        reads = dict(zip(READS, (*self._machine.read(), self._machine.bus_voltage), strict=True))
+        reads = dict(zip(MACHINE_QUANTITIES, (*self._machine.read(), self._machine.bus_voltage), strict=True))
         signals = self._settings.signals.values()
-        self._rows.append([self._as_recorded(signal, reads[signal.quantity]) for signal in signals])
+        self._rows.append([self._recorded_value(signal, reads[signal.quantity]) for signal in signals])
         if len(self._rows) == self._samples:
             self._save()
 
-    def _as_recorded(self, signal: RecordedSignal, value: float) -> float:
+    def _recorded_value(self, signal: RecordedSignal, value: float) -> float:
         settings = self._settings
         if signal.quantity == "bus_voltage":
             return value

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-READ_EVERY_S = 0.02  # a read costs some 0.1 ms whatever it brings
-SILENT_S = 1.0  # without a sample the device has stopped by itself
-RATE_WITHIN = 0.01  # of the rate asked for; further off it is another experiment
+READ_PERIOD_S = 0.02  # a read takes about 0.1 ms however many samples it returns
+LONGEST_SILENCE_S = 1.0  # after more time without a sample, the device has stopped by itself
+RATE_TOLERANCE = 0.01  # relative difference from the requested rate; with more it is another experiment
 MOST_RESTARTS = 3  # after overruns, in one run
-TOLD_SLIP_S = 1e-3
+REPORTED_SLIP_S = 1e-3  # step of the clock's slip from one notice to the next
 
 
 class NiDaq(Driver):
@@ -50,7 +50,7 @@ class NiDaq(Driver):
         self._count = self._remaining = 0  # samples since the start, and still to come of a finite acquisition
         self._last = -math.inf  # stamp of the last row
         self._restarts, self._slip = 0, 0.0
-        self._beyond = [0] * len(settings.inputs)  # readings outside the range that no notice has reported yet
+        self._out_of_range = [0] * len(settings.inputs)  # readings outside the range that no notice has reported yet
         self._notices: list[str] = []
         self._identity = Identity()
 
@@ -80,7 +80,7 @@ class NiDaq(Driver):
         if settings.product and task.product != settings.product:
             self.close()
             raise DeviceError(f"{self.name}: '{settings.device}' is a {task.product}; {settings.product} was expected")
-        if abs(task.rate_Hz / settings.rate_Hz - 1.0) > RATE_WITHIN:
+        if abs(task.rate_Hz / settings.rate_Hz - 1.0) > RATE_TOLERANCE:
             self.close()
             raise DeviceError(f"{self.name}: samples at {task.rate_Hz:g} Hz; {settings.rate_Hz:g} Hz were asked for")
         turns = f", each input {1e6 / task.convert_Hz:.3g} us after the one before" if len(settings.inputs) > 1 else ""
@@ -95,7 +95,7 @@ class NiDaq(Driver):
         try:
             self._task = (self._port or NidaqmxLibrary()).acquire(self.settings, self._remaining or None)
         except DeviceError as error:
-            raise self._named(error) from None
+            raise self._name_device(error) from None
         return self._task
 
     def identity(self) -> Identity:
@@ -149,52 +149,52 @@ class NiDaq(Driver):
             if not self._running:
                 self._begin(task)
                 return ()
-            blocks += self._stamped(task)
+            blocks += self._read_samples(task)
         except DaqmxError as error:
             if error.code not in OVERRUNS or self._restarts == MOST_RESTARTS:
-                raise self._named(error) from None
+                raise self._name_device(error) from None
             blocks += self._resume(error)
-        if not self._ended and now - self._heard > SILENT_S:
+        if not self._ended and now - self._heard > LONGEST_SILENCE_S:
             raise NoAnswer(f"{self.name}: no sample for {now - self._heard:.3g} s; the sample clock stands still")
         return blocks
 
     def notices(self) -> Sequence[str]:
         """Notices: resulting rate, warnings of NI-DAQmx, samples lost or out of range, drift of the sample clock."""
-        for index, count in enumerate(self._beyond):
+        for index, count in enumerate(self._out_of_range):
             if count:
                 item = self.settings.inputs[index]
                 self._notices.append(f"input {item.name}: {count} samples beyond +-{item.range_V:g} V are NaN")
-                self._beyond[index] = 0
+                self._out_of_range[index] = 0
         notices, self._notices = self._notices, []
         return notices
 
     def _begin(self, task: Acquisition) -> None:
-        self._start = self._clock.now()  # from before: a stamp may be late by the call, and never ahead of its sample
+        self._start = self._clock.now()  # before the call, so that no stamp is later than its sample
         task.start()
         self._running, self._count = True, 0
         self._heard = self._clock.now()
-        self._due = self._heard + READ_EVERY_S
+        self._due = self._heard + READ_PERIOD_S
 
-    def _stamped(self, task: Acquisition) -> list[SampleBlock]:
+    def _read_samples(self, task: Acquisition) -> list[SampleBlock]:
         import numpy as np
 
         volts = task.read()
         now = self._clock.now()
-        self._due = now + READ_EVERY_S
+        self._due = now + READ_PERIOD_S
         samples = volts.shape[1]
         if not samples:
             return []
         self._heard = now
-        self._keep_behind(now, samples, task)
+        self._shift_back(now, samples, task)
         times = self._start + np.arange(self._count, self._count + samples) / task.rate_Hz
         self._count += samples
         if self._remaining:
             self._remaining -= samples
             if self._remaining <= 0:
                 self._end(f"the acquisition of {self.settings.samples} samples is complete")
-        return [self._block(times, self._scaled(volts))]
+        return [self._block(times, self._scale(volts))]
 
-    def _keep_behind(self, now: float, samples: int, task: Acquisition) -> None:
+    def _shift_back(self, now: float, samples: int, task: Acquisition) -> None:
         """Shift the stamps back if the device's clock has run ahead of the bench's, so that none is in the future."""
         inputs = len(self.settings.inputs)
         newest = self._start + (self._count + samples - 1) / task.rate_Hz + (inputs - 1) / task.convert_Hz
@@ -203,10 +203,10 @@ class NiDaq(Driver):
         if ahead > 0.0:
             self._start -= ahead
             before, self._slip = self._slip, self._slip + ahead
-            if self._slip // TOLD_SLIP_S > before // TOLD_SLIP_S:
+            if self._slip // REPORTED_SLIP_S > before // REPORTED_SLIP_S:
                 self._notices.append(f"the sample clock has gained {1e3 * self._slip:.3g} ms on the bench's so far")
 
-    def _scaled(self, volts: "NDArray[np.float64]") -> "NDArray[np.float64]":
+    def _scale(self, volts: "NDArray[np.float64]") -> "NDArray[np.float64]":
         """Convert samples (inputs, samples) [V] to values (samples, inputs); NaN beyond the range of an input."""
         import numpy as np
 
@@ -214,7 +214,7 @@ class NiDaq(Driver):
         for index, item in enumerate(self.settings.inputs):
             beyond = ~(np.abs(volts[index]) < item.range_V * (1.0 - 2.0**-15))
             if beyond.any():
-                self._beyond[index] += int(beyond.sum())
+                self._out_of_range[index] += int(beyond.sum())
                 volts[index, beyond] = np.nan
             values[:, index] = item.sign * item.scale_per_V * volts[index]
         return values
@@ -248,7 +248,7 @@ class NiDaq(Driver):
         self._ended = True
         self._notices.append(text)
 
-    def _named(self, error: DeviceError) -> DeviceError:
+    def _name_device(self, error: DeviceError) -> DeviceError:
         """The error with this device's name at its beginning."""
         if str(error).startswith(f"{self.name}:"):
             return error

@@ -17,12 +17,12 @@ PRODUCT = "USB-6218"
 SERIAL_NUMBER = "1A2B3C4"
 TIMEBASE_HZ = 20e6
 AGGREGATE_HZ = 250e3
-CONVERT_S = 14e-6  # the fastest clock's 4 us, and 10 us for the multiplexer to settle where the sample clock has them
+CONVERT_S = 14e-6  # from input to input: the fastest clock's 4 us, and 10 us for the multiplexer to settle
 RANGES_V = (0.2, 1.0, 5.0, 10.0)
-INPUTS = 32
-CODES = 32768
-LOOK_S = 1e-3  # how often the leads are looked at; more seldom, and their voltage would go straight for too long
-BUFFER_S = 10.0
+INPUT_COUNT = 32
+CODES_PER_SIGN = 32768
+SAMPLE_PERIOD_S = 1e-3  # time between two samples of the leads, between which their voltage is interpolated linearly
+BUFFERED_S = 10.0  # of samples in the device's buffer
 NO_DEVICE, NO_CHANNEL, BAD_VALUE, TOO_FAST = -200220, -200170, -200077, -200332
 IN_USE, OVERWRITTEN, GONE = -50103, -200279, -201003
 
@@ -34,8 +34,8 @@ class EmulatedDaq:
         self._device = settings.device
         self.serial_number = SERIAL_NUMBER
         self.terminals = {role: physics.terminals(role) for role in sorted({item.role for item in settings.inputs})}
-        chance = next(iter(self.terminals.values())).chance
-        self.scale = 1.0 + 1e-6 * settings.scale_std_ppm * float(chance.standard_normal())
+        rng = next(iter(self.terminals.values())).chance
+        self.scale = 1.0 + 1e-6 * settings.scale_std_ppm * float(rng.standard_normal())
         self.gone = False
         self.task: EmulatedTask | None = None
         self.now = 0.0
@@ -48,7 +48,7 @@ class EmulatedDaq:
             raise DaqmxError(GONE)
         if self.task is not None:
             raise DaqmxError(IN_USE)
-        if any(int(item.channel[2:]) >= INPUTS for item in settings.inputs):
+        if any(int(item.channel[2:]) >= INPUT_COUNT for item in settings.inputs):
             raise DaqmxError(NO_CHANNEL)
         if any(item.range_V > RANGES_V[-1] for item in settings.inputs):
             raise DaqmxError(BAD_VALUE)
@@ -82,7 +82,7 @@ class EmulatedTask:
         self.rate_Hz = TIMEBASE_HZ / math.floor(TIMEBASE_HZ / settings.rate_Hz)
         self.convert_Hz = 1.0 / min(CONVERT_S, 1.0 / (count * self.rate_Hz))
         self._daq, self._inputs, self._samples = daq, settings.inputs, samples
-        self._room = round(BUFFER_S * settings.rate_Hz)
+        self._room = round(BUFFERED_S * settings.rate_Hz)
         self._began, self._converted, self._unread = math.nan, 0, 0
         self._blocks: list[NDArray[np.float64]] = []
         self.due = math.inf
@@ -91,7 +91,7 @@ class EmulatedTask:
         """Start sampling."""
         self._check()
         self._began = self._daq.now
-        self.due = self._began + LOOK_S
+        self.due = self._began + SAMPLE_PERIOD_S
 
     def sample(self, now: float) -> None:
         """Convert all samples that are due, a sample being due with its last input."""
@@ -102,16 +102,16 @@ class EmulatedTask:
         if until > self._converted:
             self._convert(until)
         done = self._converted >= self._samples if self._samples is not None else self._unread > self._room
-        self.due = math.inf if done else now + LOOK_S
+        self.due = math.inf if done else now + SAMPLE_PERIOD_S
 
     def _convert(self, until: int) -> None:
         times = self._began + np.arange(self._converted, until) / self.rate_Hz
         block = np.empty((len(self._inputs), len(times)))
         for index, item in enumerate(self._inputs):
             leads = self._daq.terminals[item.role].voltages(times + index / self.convert_Hz, item.pair)
-            step = min(end for end in RANGES_V if end >= item.range_V) / CODES
+            step = min(end for end in RANGES_V if end >= item.range_V) / CODES_PER_SIGN
             volts = self._daq.scale * item.sign * leads / item.scale_per_V
-            block[index] = step * np.clip(np.round(volts / step), -CODES, CODES - 1)
+            block[index] = step * np.clip(np.round(volts / step), -CODES_PER_SIGN, CODES_PER_SIGN - 1)
         self._converted = until
         self._unread += len(times)
         self._blocks.append(block)

@@ -12,7 +12,7 @@ from leactl.errors import DeviceError
 from leactl_plugins.ni_daq.acquisition import DaqmxError
 from leactl_plugins.ni_daq.settings import NiDaqSettings
 
-BUFFER_S = 10.0  # that a stalled host may take before samples are lost
+BUFFERED_S = 10.0  # time for which a host may stall before samples are lost
 TERMINALS = {"differential": "DIFF", "rse": "RSE", "nrse": "NRSE"}
 
 
@@ -75,7 +75,7 @@ class NidaqmxTask:
         self._task.timing.cfg_samp_clk_timing(
             settings.rate_Hz,
             sample_mode=mode,
-            samps_per_chan=round(BUFFER_S * settings.rate_Hz) if samples is None else samples,
+            samps_per_chan=round(BUFFERED_S * settings.rate_Hz) if samples is None else samples,
         )
 
     def start(self) -> None:

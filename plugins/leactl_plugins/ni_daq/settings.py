@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from leactl.driver.contract import DriverSettings, MeasurableRange
 from leactl.driver.far_end import PAIRS
 
-MOST_SAMPLES = 200_000_000  # of a finite acquisition, which its buffer holds
+MOST_SAMPLES = 200_000_000  # of a finite acquisition, whose buffer holds all of them
 
 
 class DaqInput(BaseModel):
@@ -35,7 +35,7 @@ class NiDaqSettings(DriverSettings):
 
     library: Literal["nidaqmx", "emulated"]  # NI's driver, or the emulated converter of an emulated bench
     device: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60)] = "Dev1"
-    product: Annotated[str, Field(max_length=40)] = ""  # another one is refused, where it is given
+    product: Annotated[str, Field(max_length=40)] = ""  # if it is given, another product is refused
     rate_Hz: Annotated[float, Field(strict=True, gt=0, le=2e6, allow_inf_nan=False)] = 10_000.0  # noqa: N815 (of every input)
     # none: to the run's end
     duration_s: Annotated[float, Field(strict=True, gt=0, le=86_400, allow_inf_nan=False)] | None = None

@@ -92,7 +92,7 @@ class ThermalCsv(Driver):
             files = [read_matrices(paths, self.settings)]
         else:
             files = [read_series(path, self.settings) for path in paths]
-        time, values, began = joined(files)
+        time, values, began = join_files(files)
         starts = np.cumsum([0, *(len(sheet.clock.time) for sheet in files)])
 
         def where(row: int) -> str:
@@ -118,7 +118,7 @@ class ThermalCsv(Driver):
         )
 
 
-def joined(sheets: Sequence[CameraFile]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], float | None]:
+def join_files(sheets: Sequence[CameraFile]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], float | None]:
     """Times [s] and values of all parts on one clock, and its zero in s since 1970 (None if unknown).
 
     Raises

@@ -15,9 +15,9 @@ FROM_CELSIUS: dict[str, Callable[[float], float]] = {
     "K": lambda value: value + 273.15,
 }
 FRAME_RATE_HZ = 30.0
-BEFORE_S = 7.3  # by which the program records before the bench begins
-FAST_PPM = 40.0  # by which the camera's clock gains
-BLOCK_S = 1.0  # the program writes once a second
+LEAD_S = 7.3  # time for which the program has recorded when the bench begins
+CLOCK_FAST_PPM = 40.0  # gain of the camera's clock on the bench's
+BLOCK_S = 1.0  # time between two writes of the program
 DAY = datetime(2026, 1, 1)  # of a camera whose clock was never set
 
 
@@ -84,7 +84,7 @@ class CameraEmulator:
     @property
     def due(self) -> float:
         """Time at which the next frame is taken [s]."""
-        return self._frame * self._period / (1.0 + 1e-6 * FAST_PPM) - BEFORE_S
+        return self._frame * self._period / (1.0 + 1e-6 * CLOCK_FAST_PPM) - LEAD_S
 
     def tick(self, now: float) -> None:
         """Take the frames up to `now`; write the frames of a second together."""

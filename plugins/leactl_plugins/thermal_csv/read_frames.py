@@ -24,8 +24,8 @@ from leactl.tables.text_table import (
     strip_cells,
 )
 from leactl_plugins.thermal_csv.read_series import (
-    COLDEST,
-    HOTTEST,
+    HIGHEST_READING,
+    LOWEST_READING,
     Array,
     CameraFile,
     checked_celsius,
@@ -45,10 +45,10 @@ STATISTICS: dict[str, Callable[..., Array]] = {"mean": np.mean, "max": np.max, "
 NAME_VALUE = re.compile(r"\s*([^:=]*?)\s*[:=]\s*(.*)")
 FRAME_LABEL = re.compile(r"[^\W\d_]+\s*[0-9]+")  # `Frame 12`, in the first cell of the first row of a frame
 SIZE_NAMES = (("height", "imageheight"), ("width", "imagewidth"))  # of rows and of columns, in lower case
-FEWEST_COUNTED = 3  # rows or columns that rise or fall evenly, to be taken for an axis
-ROUGHEST = 1 / 3  # of an axis' step: largest rounding of a number
+LEAST_AXIS_LENGTH = 3  # cells that rise or fall evenly, from which on they are taken for an axis
+MOST_ROUNDING_SHARE = 1 / 3  # largest rounding of an axis' numbers over its step
 NUMBER = re.compile(r"[+-]?[0-9]+([.,][0-9]+)?")
-HINT = "skip_lines, index_column and frame_size tell which cells are pixels"
+PIXELS_HINT = "skip_lines, index_column and frame_size tell which cells are pixels"
 
 
 @dataclass
@@ -87,7 +87,7 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Camera
         *file_frames, unfinished = frames_in(path, lines, delimiter, settings)
         if unfinished.rows:
             file_frames.append(unfinished)
-        take_stated_size(file_frames, settings)
+        store_stated_size(file_frames, settings)
         remarks += text_line_remarks(file_frames, unfinished)
         frames += file_frames
         if not text.endswith(("\n", "\r")):
@@ -113,7 +113,7 @@ def read_matrices(paths: Sequence[Path], settings: ThermalCsvSettings) -> Camera
         return f"{frame_location(cell // sizes[name])}, region {name}"
 
     numbers, convention = read_numbers(
-        cells_by_region, settings, location_of, dict.fromkeys(cells_by_region, (COLDEST, HOTTEST))
+        cells_by_region, settings, location_of, dict.fromkeys(cells_by_region, (LOWEST_READING, HIGHEST_READING))
     )
     asides = [aside for frame in frames for aside in frame.above]
     headings = {name: name for name in cells}
@@ -156,7 +156,7 @@ def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings)
         return settings.delimiter or (declared[1] if declared else "")
     first = settings.skip_lines
     sample = [line for line in lines[first : first + 200] if line.strip() and not is_text_line(line, settings)][:50]
-    sample = sample[1:] or sample  # the first may be the size of the frame
+    sample = sample[1:] or sample  # the first line may be the size of the frame
     fitting = []
     for mark in DELIMITERS:
         rows = [strip_cells(split_line(line, mark)) for line in sample]
@@ -165,7 +165,7 @@ def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings)
             fitting.append(mark)
     if len(fitting) != 1:
         names = " and ".join(DELIMITER_NAMES.get(mark, repr(mark)) for mark in fitting) or "no mark"
-        hint = "" if fitting else f", where its first lines are rows; {HINT}"
+        hint = "" if fitting else f", where its first lines are rows; {PIXELS_HINT}"
         raise InputError(f"{path}: {names} cuts its lines into rows of numbers; delimiter decides{hint}")
     return fitting[0]
 
@@ -226,7 +226,7 @@ def text_line_remarks(frames: Sequence[PixelFrame], unfinished: PixelFrame) -> l
     return remarks
 
 
-def take_stated_size(frames: Sequence[PixelFrame], settings: ThermalCsvSettings) -> None:
+def store_stated_size(frames: Sequence[PixelFrame], settings: ThermalCsvSettings) -> None:
     """Store the size of the frames that a file states by names, in a line above, or by numbers of rows and columns."""
     if not frames:
         return
@@ -243,7 +243,7 @@ def take_stated_size(frames: Sequence[PixelFrame], settings: ThermalCsvSettings)
             first.line += 1
             rows, columns = counted
     if settings.index_column is True:
-        columns = columns or first.label[1] - 1 if first.label[1] else columns  # the numbers of the columns
+        columns = columns or first.label[1] - 1 if first.label[1] else columns  # by the row of column numbers
         rows = rows or len(first.rows) if first.cells(0)[0].strip("\"' ") == "0" else rows  # a lost row leaves a gap
     for frame in frames:
         frame.size = rows, columns
@@ -283,7 +283,7 @@ def frames_of_one_size(
     for frame, widths in zip(frames, sizes, strict=True):
         if widths != {width} or len(frame.rows) != height:
             shape = f"{len(frame.rows)} rows of {' or '.join(map(str, sorted(widths)))} cells"
-            expected = f"{height} of {width} were expected; {HINT}"
+            expected = f"{height} of {width} were expected; {PIXELS_HINT}"
             raise InputError(f"{frame.path}: line {frame.line}: a frame of {shape}; {expected}")
     if None in stated:
         remarks.append("nothing states the size of the frames, by which lost rows or cells are seen; frame_size does")
@@ -314,11 +314,11 @@ def check_first_cells(frames: Sequence[PixelFrame], settings: ThermalCsvSettings
     above = strip_cells(first.cells(0))[index:]
     left_column = [cell for row in range(len(first.rows)) for cell in first.cells(row)[index : index + 1]]
     is_stated = settings.frame_size is not None and None not in settings.frame_size
-    if len(above) >= FEWEST_COUNTED and counts_by_one(above):
-        raise InputError(f"{first.path}: line {first.line}: counts its columns, which are no pixels; {HINT}")
+    if len(above) >= LEAST_AXIS_LENGTH and counts_by_one(above):
+        raise InputError(f"{first.path}: line {first.line}: counts its columns, which are no pixels; {PIXELS_HINT}")
     if is_axis(above, left_column) and not is_stated:
         reason = "rises or falls evenly, as the places of columns do, and the rows below it do not go on so"
-        raise InputError(f"{first.path}: line {first.line}: {reason}; {HINT}")
+        raise InputError(f"{first.path}: line {first.line}: {reason}; {PIXELS_HINT}")
     for frame in frames:
         cells = [frame.cells(row)[0].strip("\"' ") for row in range(len(frame.rows))]
         filled = [cell for cell in cells if cell and not FRAME_LABEL.fullmatch(cell)]
@@ -330,7 +330,7 @@ def check_first_cells(frames: Sequence[PixelFrame], settings: ThermalCsvSettings
             reason = f"line {frame.label[0]}: a word and as many cells as a row has"
         elif not any(cells):
             reason = f"line {frame.line}: the first cell of every row is empty"
-        elif len(cells) >= FEWEST_COUNTED and counts_by_one(cells):
+        elif len(cells) >= LEAST_AXIS_LENGTH and counts_by_one(cells):
             reason = f"line {frame.line}: the first cells count the rows"
         elif is_axis(cells, strip_cells(frame.cells(0))):
             reason = f"line {frame.line}: the first cells rise or fall evenly, as the places of rows do"
@@ -341,7 +341,7 @@ def check_first_cells(frames: Sequence[PixelFrame], settings: ThermalCsvSettings
 
 def row_out_of_order(cells: Sequence[str]) -> int | None:
     """Index of the first row whose number or coordinate does not continue those above; None if all do."""
-    if counts_by_one(cells) or (len(cells) >= FEWEST_COUNTED and is_even(cells)):
+    if counts_by_one(cells) or (len(cells) >= LEAST_AXIS_LENGTH and is_even(cells)):
         return None
     continues = counts_by_one if all(cell.isdecimal() for cell in cells) else is_even
     return next(row for row in range(len(cells)) if not continues(cells[: row + 1]))
@@ -361,7 +361,7 @@ def is_axis(cells: Sequence[str], across: Sequence[str]) -> bool:
     Pixels that rise evenly in both directions are a slope.
     """
     axis_cells = cells[1:] if cells and not cells[0].strip("\"' ") else cells
-    return min(len(axis_cells), len(across)) >= FEWEST_COUNTED and is_even(axis_cells) and not is_even(across)
+    return min(len(axis_cells), len(across)) >= LEAST_AXIS_LENGTH and is_even(axis_cells) and not is_even(across)
 
 
 def is_even(cells: Sequence[str]) -> bool:
@@ -376,7 +376,7 @@ def is_even(cells: Sequence[str]) -> bool:
     deviation = max(abs(number - numbers[0] - step * index) for index, number in enumerate(numbers))
     digit = max(Decimal(1).scaleb(int(number.as_tuple().exponent)) for number in numbers)
     return step != 0 and (
-        deviation < digit / 1000 or (deviation <= digit < 1 and digit <= Decimal(ROUGHEST) * abs(step))
+        deviation < digit / 1000 or (deviation <= digit < 1 and digit <= Decimal(MOST_ROUNDING_SHARE) * abs(step))
     )
 
 

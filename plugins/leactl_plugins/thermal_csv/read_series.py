@@ -16,11 +16,11 @@ from leactl_plugins.thermal_csv.settings import ThermalCsvSettings, unit_named
 from leactl_plugins.thermal_csv.stamps import RowTimes, looks_plain, read_frames, read_plain, read_stamps
 
 Array = npt.NDArray[np.float64]
-COLDEST, HOTTEST = -460.0, 6000.0  # range of cameras in any of the units
-ABSOLUTE_ZERO_DEGC, ZERO_WITHIN = -273.15, 0.01  # and how near to it a rounded number is
-HOT_DEGC = 200.0  # above which no part of an actuator stays, and below room temperature in kelvin
-NEAR = 10.0  # of any unit, by which a number may lie outside the range of those around it
-FEWEST_USUAL = 2  # numbers with a decimal mark by which others are judged
+LOWEST_READING, HIGHEST_READING = -460.0, 6000.0  # of a camera, in any of the units
+ABSOLUTE_ZERO_DEGC, ZERO_TOLERANCE_K = -273.15, 0.01  # rounding of a number at absolute zero
+HOT_DEGC = 200.0  # hotter than an actuator's parts, and a number lower than room temperature in kelvin
+RANGE_MARGIN = 10.0  # in any unit, around the range of the surrounding numbers
+LEAST_USUAL_NUMBERS = 2  # with a decimal mark, to compare other numbers with
 EMISSIVITY = re.compile(r"emissivity|emissivit|emissionsgrad|发射率|辐射率|\bε", re.IGNORECASE)
 UNIT_LINE = re.compile(r"^(temperature\s*)?units?$|^temp\w*\s*unit|单位|単位|단위", re.IGNORECASE)
 
@@ -49,7 +49,7 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
     cells = {heading: table.column(heading) for heading in headings.values()}
     stamps = [" ".join(parts).strip() for parts in zip(*map(table.column, stamp_columns), strict=True)]
     is_number = not stamps or looks_plain(stamps[0])
-    bounds = dict.fromkeys(cells, (COLDEST, HOTTEST))
+    bounds = dict.fromkeys(cells, (LOWEST_READING, HIGHEST_READING))
     heading = table.heading(time.column) if time.column else ""
     if is_number and stamps:
         cells[heading] = stamps
@@ -148,7 +148,7 @@ def checked_celsius(name: str, values: Array, unit: str, location_of: CellLocato
     conversion = converter(unit, "winding_temperature")
     assert conversion is not None
     converted: Array = conversion.factor * (values - conversion.zero)
-    if (cold := np.flatnonzero(converted <= ABSOLUTE_ZERO_DEGC + ZERO_WITHIN)).size:
+    if (cold := np.flatnonzero(converted <= ABSOLUTE_ZERO_DEGC + ZERO_TOLERANCE_K)).size:
         raise InputError(
             f"{location_of(name, int(cold[0]))}: {values[cold[0]]:.6g} {unit} is not above absolute zero; unit says"
             f" what numbers are in, missing which of them mark a missed sample"
@@ -180,11 +180,11 @@ def odd_number_remarks(
     surrounding : the cells around them, including themselves.
     """
     usual = [text for text in map(number_in, surrounding) if convention.decimal in text and "e" not in text]
-    if len(usual) < FEWEST_USUAL:
+    if len(usual) < LEAST_USUAL_NUMBERS:
         return []
     decimals = {len(text.rpartition(convention.decimal)[2]) for text in usual}
     values = [value for text in usual if (value := convention.value(text)) is not None]
-    low, high = min(values) - NEAR, max(values) + NEAR
+    low, high = min(values) - RANGE_MARGIN, max(values) + RANGE_MARGIN
     remarks = []
     for heading, cells in columns.items():
         for text in dict.fromkeys(cells):
