@@ -102,7 +102,7 @@ def serve(
     from leactl.bench.benchfile import changed_buses
     from leactl.bench.records import with_run_folders
     from leactl.emulation.bench.emulated_bench import EmulatedBench
-    from leactl.emulation.wires.serving import bridged, stub_chips
+    from leactl.emulation.wires.serving import bridge_buses, stub_chips
     from leactl.emulation.wires.serving import serve as serve_until
     from leactl.runner.checked_bench import load_checked
     from leactl.runner.stop_requests import handled_signals
@@ -110,7 +110,7 @@ def serve(
     file, devices, _document = load_checked(bench)
     file = file.model_copy(update={"buses": file.buses | changed_buses(file, bus)})
     emulated = EmulatedBench(file, with_run_folders(devices, RUNS), setup, condition, seed)
-    with handled_signals() as stop, bridged(file, emulated.wires, emulated.serial_wires) as bridges:
+    with handled_signals() as stop, bridge_buses(file, emulated.wires, emulated.serial_wires) as bridges:
         chips = stub_chips(file, emulated)
         for name, bridge in bridges.items():
             typer.echo(f"{name}: {bridge.address}")

@@ -32,7 +32,7 @@ def short(monkeypatch):
 
         return program
 
-    monkeypatch.setattr(draws, "DRAWN", {name: cut(made) for name, made in programs.DRAWN.items()})
+    monkeypatch.setattr(draws, "PROGRAM_DRAWS", {name: cut(made) for name, made in programs.PROGRAM_DRAWS.items()})
     monkeypatch.setattr(draws, "heating", lambda draw, strong: programs.heating(draw, strong)[:20])
 
 

@@ -8,7 +8,7 @@ import sys
 
 from leactl.bench import benchfile
 from leactl.emulation.bench.emulated_bench import EmulatedBench
-from leactl.emulation.wires.serving import bridged, serve
+from leactl.emulation.wires.serving import bridge_buses, serve
 from leactl.runner.stop_requests import handled_signals
 
 FLOWING_A = 0.05
@@ -26,7 +26,7 @@ def main():
             print(json.dumps({"flowing": flowing}), flush=True)
 
     bench.time.follow(look)
-    with handled_signals() as stop, bridged(file, bench.wires, bench.serial_wires) as bridges:
+    with handled_signals() as stop, bridge_buses(file, bench.wires, bench.serial_wires) as bridges:
         print(json.dumps(bridges["supply0"].address), flush=True)
         serve(bench.time, list(bridges.values()), [], lambda: bool(stop.cause))
 

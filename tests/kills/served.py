@@ -9,7 +9,7 @@ import sys
 
 from leactl.bench import benchfile
 from leactl.emulation.bench.emulated_bench import EmulatedBench
-from leactl.emulation.wires.serving import bridged, serve
+from leactl.emulation.wires.serving import bridge_buses, serve
 from leactl.runner.stop_requests import handled_signals
 
 FLOWING_A = 0.05
@@ -53,7 +53,7 @@ def main(path, *changes):
     # a drive keeps its own time: where this process was held up, the moments it missed come one after the other
     clock.stop_at(lambda: (int(clock.now() * STEPS_PER_S + 1e-6) + 1) / STEPS_PER_S)
     clock.stop_at(lambda: min(drive.due for drive in drives))
-    with handled_signals() as stop, bridged(file, bench.wires, bench.serial_wires) as bridges:
+    with handled_signals() as stop, bridge_buses(file, bench.wires, bench.serial_wires) as bridges:
         print(json.dumps(bridges["can0"].address), flush=True)
         serve(clock, list(bridges.values()), [], lambda: bool(stop.cause))
 

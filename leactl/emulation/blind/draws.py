@@ -11,7 +11,7 @@ import numpy as np
 
 from leactl import yamlfile
 from leactl.emulation.blind.bases import Base, draw_base
-from leactl.emulation.blind.programs import DRAWN, RUN_KINDS, SETUPS, heating
+from leactl.emulation.blind.programs import PROGRAM_DRAWS, RUN_KINDS, SETUPS, heating
 from leactl.emulation.plant.effects import make_effect
 from leactl.emulation.plant.effects.contract import PlantEffect
 from leactl.emulation.plant.effects_outside_library import unlisted_effects
@@ -134,7 +134,7 @@ def _draw_run(
         test=base.test,
         load=base.load,
         bench=base.bench,
-        effects=tuple(_in_this_run(draw, planted.effect) for planted in drawn),
+        effects=tuple(_draw_for_run(draw, planted.effect) for planted in drawn),
         angle=float(draw.uniform(0.0, 2 * math.pi)),
         winding=float(winding),
         housing=float(housing),
@@ -143,19 +143,19 @@ def _draw_run(
     seed = int(draw.integers(0, 2**63))
     if kind == "heating":
         return RunDraw(name, kind, lane, heating(draw, warm), seed)
-    program = _steadied(DRAWN[kind](draw), drawn)
+    program = _steady(PROGRAM_DRAWS[kind](draw), drawn)
     return RunDraw(name, kind, lane, replace(program, velocity_noise=spread.velocity, seed=seed), seed)
 
 
-def _in_this_run(draw: Generator, effect: PlantEffect) -> PlantEffect:
+def _draw_for_run(draw: Generator, effect: PlantEffect) -> PlantEffect:
     return effect.afresh(draw) if isinstance(effect, Unlisted) else effect
 
 
-def _steadied(program: DriveReferences, drawn: Sequence[PlantedEffect]) -> DriveReferences:
+def _steady(program: DriveReferences, drawn: Sequence[PlantedEffect]) -> DriveReferences:
     """Lower a servo's gain if an effect makes its loop slow or springy, as a person tuning it would."""
     if program.servo == "load":
         springy = any(planted.name in ("shaft_compliance", "backlash") for planted in drawn)
-        return _with_gain(program, 70.0) if springy else program
+        return _limit_gain(program, 70.0) if springy else program
     if program.servo != "test":
         return program
     delay = 0.0
@@ -164,10 +164,10 @@ def _steadied(program: DriveReferences, drawn: Sequence[PlantedEffect]) -> Drive
             delay += planted.parameters.get("delay", 0.0) + planted.parameters.get("time_constant", 0.0)
         if planted.name == "command_slew_limit":
             delay += 5.0 / planted.parameters["rate"]  # s that a step of 5 A takes
-    return _with_gain(program, 0.35 / delay) if delay else program
+    return _limit_gain(program, 0.35 / delay) if delay else program
 
 
-def _with_gain(program: DriveReferences, highest_gain: float) -> DriveReferences:
+def _limit_gain(program: DriveReferences, highest_gain: float) -> DriveReferences:
     gain = min(program.velocity_gain, highest_gain)
     share = gain / program.velocity_gain
     return replace(program, velocity_gain=gain, velocity_integral=program.velocity_integral * share * share)

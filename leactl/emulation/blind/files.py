@@ -17,7 +17,7 @@ from leactl.quantities import ChannelSpec
 from leactl.runfile.write.writer import RunInfo, RunWriter
 
 CREATED = "2026-01-01T00:00:00Z"  # the same for all, so that a seed gives the same files and no date tells a batch
-LOOP = {
+LOOP_CHANNELS = {
     "current_reference": ChannelSpec("current_reference", "q_axis_current_reference", "test", "drive_test"),
     "current": ChannelSpec("current", "q_axis_current", "test", "drive_test", sampling="mean"),
     "voltage": ChannelSpec("voltage", "q_axis_voltage", "test", "drive_test", sampling="mean"),
@@ -28,12 +28,12 @@ LOOP = {
     "load_current": ChannelSpec("load_current", "q_axis_current", "load", "drive_load"),
     "load_velocity": ChannelSpec("load_velocity", "velocity", "load", "drive_load"),
 }
-CAMERA = {
+CAMERA_CHANNELS = {
     "winding": ChannelSpec("winding", "winding_temperature", "test", "camera"),
     "housing": ChannelSpec("housing", "housing_temperature", "test", "camera"),
     "ambient": ChannelSpec("ambient", "ambient_temperature", "bench", "camera"),
 }
-SUPPLY = {
+SUPPLY_CHANNELS = {
     "line_current": ChannelSpec("line_current", "line_current", "test", "supply"),
     "line_voltage": ChannelSpec("line_voltage", "line_voltage", "test", "supply"),
 }
@@ -49,19 +49,19 @@ def write_moving(folder: Path, case: BlindCase, run: RunDraw, signals: DriveSign
     """Write a run in which the drives were on."""
     sensors = Sensors(run.lane, case.spread, run.seed)
     loop = sensors.loop(signals)
-    specs = dict(LOOP)
+    specs = dict(LOOP_CHANNELS)
     program = run.program
     if isinstance(program, DriveReferences) and program.velocity is not None:
         drive = f"drive_{program.servo}"
         specs["velocity_reference"] = ChannelSpec("velocity_reference", "velocity_reference", program.servo, drive)
         loop["velocity_reference"] = np.asarray(program.velocity)
-    _write(folder, case, run, {"loop": (specs, loop), "camera": (CAMERA, sensors.camera(signals))})
+    _write(folder, case, run, {"loop": (specs, loop), "camera": (CAMERA_CHANNELS, sensors.camera(signals))})
 
 
 def write_heated(folder: Path, case: BlindCase, run: RunDraw, heated: HeatedRun) -> None:
     """Write a run in which direct current heated the windings."""
     camera, supply = Sensors(run.lane, case.spread, run.seed).heated(heated)
-    _write(folder, case, run, {"camera": (CAMERA, camera), "supply": (SUPPLY, supply)})
+    _write(folder, case, run, {"camera": (CAMERA_CHANNELS, camera), "supply": (SUPPLY_CHANNELS, supply)})
 
 
 def _write(

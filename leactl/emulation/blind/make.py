@@ -18,7 +18,7 @@ from leactl.emulation.plant.stepped.run import DriveReferences, simulate
 from leactl.errors import InputError
 from leactl.vocabulary.effect import effects_on
 
-AT_ONCE = 40  # cases; 320 lanes take about 1 GB
+CASES_AT_ONCE = 40  # simulated together; their 320 lanes take about 1 GB
 
 
 def make(
@@ -55,12 +55,12 @@ def make(
     entries: dict[str, Any] = {}
     out.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
-    for start in range(0, count, AT_ONCE):
+    for start in range(0, count, CASES_AT_ONCE):
         time_left = f", about {(time.monotonic() - began) / start * (count - start) / 60:.1f} min left" if start else ""
         progress(f"{start} of {count} cases made{time_left}")
         batch = [
             draw_case(np.random.default_rng([seed_number, 1, k]), f"{prefix}-{k + 1:0{digits}d}", *plans[k])
-            for k in range(start, min(start + AT_ONCE, count))
+            for k in range(start, min(start + CASES_AT_ONCE, count))
         ]
         write([out / case.name for case in batch], batch)
         entries |= {case.name: entry(case) for case in batch}

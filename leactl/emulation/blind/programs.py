@@ -11,8 +11,8 @@ from leactl.emulation.plant.stepped.lanes import Array
 from leactl.emulation.plant.stepped.plant import TICK
 from leactl.emulation.plant.stepped.run import DriveReferences
 
-MOVING = ("locked_staircase", "coupled_grid", "free_multisine", "free_velocity")
-RUN_KINDS = (*MOVING, "heating")
+MOVING_KINDS = ("locked_staircase", "coupled_grid", "free_multisine", "free_velocity")
+RUN_KINDS = (*MOVING_KINDS, "heating")
 SETUPS = {
     "locked_staircase": "locked",
     "coupled_grid": "coupled",
@@ -32,11 +32,11 @@ def locked_staircase(draw: Generator) -> DriveReferences:
     half = [*up, *([up[-2], up[-1]] if draw.random() < 0.5 else []), *up[-2::-1], 0.0]
     first = float(draw.choice([-1.0, 1.0]))
     knots = [first * level for level in half] + [-first * level for level in half]
-    stairs = _levels(knots, dwell, ramp)
-    fast = _multisine(draw, draw.uniform(7.0, 11.0), 0.3, draw.uniform(60.0, 150.0), 30)
+    stairs = _hold_levels(knots, dwell, ramp)
+    fast = _sum_sines(draw, draw.uniform(7.0, 11.0), 0.3, draw.uniform(60.0, 150.0), 30)
     fast *= draw.uniform(1.2, 3.0) / fast.std()
     bias = draw.uniform(-4.0, 4.0)
-    return DriveReferences(np.concatenate([stairs, _levels([bias], 0.5, 0.2), np.clip(fast + bias, -20.0, 20.0)]))
+    return DriveReferences(np.concatenate([stairs, _hold_levels([bias], 0.5, 0.2), np.clip(fast + bias, -20.0, 20.0)]))
 
 
 def coupled_grid(draw: Generator) -> DriveReferences:
@@ -53,9 +53,9 @@ def coupled_grid(draw: Generator) -> DriveReferences:
         currents_at_speed = np.linspace(-highest, highest, per_speed) + draw.uniform(-0.8, 0.8, per_speed)
         currents += list(draw.permutation(currents_at_speed))
     ramp = draw.uniform(0.04, 0.15)
-    current = _levels(currents, dwell - ramp, ramp)
-    velocity = _levels(np.repeat(speeds, per_speed), dwell - ramp, ramp)
-    turn = _slew_limited(velocity, draw.uniform(60.0, 250.0))
+    current = _hold_levels(currents, dwell - ramp, ramp)
+    velocity = _hold_levels(np.repeat(speeds, per_speed), dwell - ramp, ramp)
+    turn = _limit_slew(velocity, draw.uniform(60.0, 250.0))
     gain = draw.uniform(110.0, 190.0)
     integral = gain * draw.uniform(8.0, 15.0)
     return DriveReferences(current, turn, "load", gain, integral, feedforward=draw.uniform(0.8, 0.97))
@@ -64,20 +64,20 @@ def coupled_grid(draw: Generator) -> DriveReferences:
 def free_multisine(draw: Generator) -> DriveReferences:
     """A current of many sines that turns the rotor back and forth through standstill."""
     duration = draw.uniform(36.0, 44.0)
-    current = _multisine(draw, duration, draw.uniform(0.03, 0.06), draw.uniform(30.0, 70.0), int(draw.integers(20, 32)))
-    slow = _multisine(draw, duration, 0.1, 0.6, 4)
+    current = _sum_sines(draw, duration, draw.uniform(0.03, 0.06), draw.uniform(30.0, 70.0), int(draw.integers(20, 32)))
+    slow = _sum_sines(draw, duration, 0.1, 0.6, 4)
     current = current / current.std() * draw.uniform(0.55, 0.8) + slow / slow.std() * draw.uniform(0.5, 0.8)
-    return DriveReferences(current * min(1.0, 22.0 / _fastest(current)))
+    return DriveReferences(current * min(1.0, 22.0 / _highest_speed(current)))
 
 
 def free_velocity(draw: Generator) -> DriveReferences:
     """Slow turns in both directions, steps of speed, sweeps."""
     first = float(draw.choice([-1.0, 1.0]))
     slow = [first * draw.uniform(0.25, 0.7), -first * draw.uniform(0.2, 0.6)]
-    parts = [_levels([speed], draw.uniform(8.0, 12.0), 0.0) for speed in slow]
+    parts = [_hold_levels([speed], draw.uniform(8.0, 12.0), 0.0) for speed in slow]
     magnitudes = draw.permutation(np.exp(np.linspace(math.log(draw.uniform(1.5, 3.0)), math.log(28.0), 6)))
     steps = magnitudes * draw.uniform(0.85, 1.05, 6) * first * np.array([1, -1, 1, -1, 1, -1])
-    parts.append(_levels(steps, draw.uniform(2.0, 2.8), draw.choice([0.0, 0.05, 0.3])))
+    parts.append(_hold_levels(steps, draw.uniform(2.0, 2.8), draw.choice([0.0, 0.05, 0.3])))
     period, turns = draw.uniform(9.0, 14.0), 2
     phase = np.arange(round(turns * period / TICK)) * TICK / period
     sweep = np.sin(2 * np.pi * phase) if draw.random() < 0.4 else 2 / np.pi * np.arcsin(np.sin(2 * np.pi * phase))
@@ -97,7 +97,7 @@ def heating(draw: Generator, strong: bool) -> Array:
     return np.concatenate([current, np.zeros(cool)])
 
 
-DRAWN = {
+PROGRAM_DRAWS = {
     "locked_staircase": locked_staircase,
     "coupled_grid": coupled_grid,
     "free_multisine": free_multisine,
@@ -105,7 +105,7 @@ DRAWN = {
 }
 
 
-def _levels(levels: "list[float] | Array", dwell: float, ramp: float) -> Array:
+def _hold_levels(levels: "list[float] | Array", dwell: float, ramp: float) -> Array:
     """Hold each level, after a linear ramp from the level before; the first ramp starts from zero."""
     held, climb = round(dwell / TICK), round(ramp / TICK)
     parts, before = [], 0.0
@@ -116,7 +116,7 @@ def _levels(levels: "list[float] | Array", dwell: float, ramp: float) -> Array:
     return np.concatenate(parts)
 
 
-def _slew_limited(signal: Array, rate: float) -> Array:
+def _limit_slew(signal: Array, rate: float) -> Array:
     limited, highest_step = np.empty_like(signal), rate * TICK
     value = 0.0
     for k, target in enumerate(signal.tolist()):
@@ -125,7 +125,7 @@ def _slew_limited(signal: Array, rate: float) -> Array:
     return limited
 
 
-def _multisine(draw: Generator, duration: float, low: float, high: float, lines: int) -> Array:
+def _sum_sines(draw: Generator, duration: float, low: float, high: float, lines: int) -> Array:
     """Sum sines at frequencies spread evenly on a logarithmic scale, multiples of 1 / duration, with random phases."""
     time = np.arange(round(duration / TICK)) * TICK
     frequencies = np.exp(np.linspace(math.log(low), math.log(high), lines) + draw.uniform(-0.05, 0.05, lines))
@@ -136,7 +136,7 @@ def _multisine(draw: Generator, duration: float, low: float, high: float, lines:
     return total
 
 
-def _fastest(current: Array) -> float:
+def _highest_speed(current: Array) -> float:
     """Highest speed without Coulomb friction [rad/s], times 0.65 because friction takes about a third of it."""
     rate = 2j * np.pi * np.fft.rfftfreq(len(current), TICK)
     response = TORQUE_CONSTANT / (DAMPING + INERTIA * rate)

@@ -144,16 +144,16 @@ class OfFrames(OfBus):
         # whether frames of the direction that is not affected come from a host
         spared_source = {"both": None, "to_devices": False, "to_host": True}[self.direction]
 
-        def passes(_frame: Frame, source: CanEmulator | None) -> float | None:
+        def delay_of_frame(_frame: Frame, source: CanEmulator | None) -> float | None:
             if (source is None) == spared_source or draw.random() >= self.share:
                 return 0.0
-            return self.fate
+            return self.frame_delay
 
-        return bench.wires[self.bus].disturb(passes)
+        return bench.wires[self.bus].disturb(delay_of_frame)
 
     @property
     @abstractmethod
-    def fate(self) -> float | None:
+    def frame_delay(self) -> float | None:
         """Delay of an affected frame [s]; None if it never arrives."""
 
 
@@ -175,7 +175,7 @@ class OfDevice(Fault):
     def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
         """Parameters that do not fit this device, each with the reason; empty if all fit."""
 
-    def unread(self, quantity: str, quantities: set[str]) -> dict[str, str]:
+    def misfit_if_unread(self, quantity: str, quantities: set[str]) -> dict[str, str]:
         """Reason if the device does not read the quantity."""
         text = f"{self.device} reads no {quantity}; {_known(sorted(quantities))}"
         return {} if quantity in quantities else {"quantity": text}
@@ -217,14 +217,14 @@ class OfSensor(OfDevice, LastingFault):
 
     def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
         """Reason if the device does not read the quantity."""
-        return self.unread(self.quantity, quantities)
+        return self.misfit_if_unread(self.quantity, quantities)
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
         """Change the reading between the plant and the device."""
-        return bench.signals[self.device].change(self.quantity, self.reads(draw))
+        return bench.signals[self.device].change(self.quantity, self.faulty_reading(draw))
 
     @abstractmethod
-    def reads(self, draw: Draw) -> Callable[[float], float]:
+    def faulty_reading(self, draw: Draw) -> Callable[[float], float]:
         """Return a function that converts a true value to the faulty reading."""
 
 

@@ -7,7 +7,7 @@ from leactl.bench.benchfile import BenchFile, CheckedDevice
 from leactl.emulation.faults import find_fault, known_faults
 from leactl.emulation.faults.contract import Drill, Fault, PlannedBench
 
-AT_ONCE = 0.0  # any moment serves to ask whether a fault fits a bench
+ANY_TIME_S = 0.0  # whether a fault fits a bench does not depend on its time
 
 
 class FaultRehearsal(NamedTuple):
@@ -62,5 +62,5 @@ def _fitting(name: str, kind: type[Fault], drill: Drill, planned_bench: PlannedB
     return [
         FaultRehearsal(name, entry, drill)
         for entry in entries
-        if not kind.model_validate({**entry, "at_s": AT_ONCE}).misfits(planned_bench)
+        if not kind.model_validate({**entry, "at_s": ANY_TIME_S}).misfits(planned_bench)
     ]

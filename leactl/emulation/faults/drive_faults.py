@@ -92,10 +92,10 @@ class HeartbeatLoss(OfDevice, LastingFault):
         """Drop the heartbeats, or with `answers` all frames of the drive."""
         drive = bench.far_ends[self.device]
 
-        def passes(frame: Frame, source: CanEmulator | None) -> float | None:
+        def delay_of_frame(frame: Frame, source: CanEmulator | None) -> float | None:
             is_dropped = source is drive and (
                 self.answers or (isinstance(source, Living) and source.is_sign_of_life(frame))
             )
             return None if is_dropped else 0.0
 
-        return bench.wires[bench.bus_of[self.device]].disturb(passes)
+        return bench.wires[bench.bus_of[self.device]].disturb(delay_of_frame)

@@ -45,7 +45,7 @@ class DisconnectedSensor(OfDevice, LastingFault):
             bus = planned_bench.file.buses.get(planned_bench.devices[self.device].entry.bus or "")
             text = f"'{self.device}' is not on an I2C bus; name the quantity whose sensor is off, or use lost_frames"
             return {} if isinstance(bus, I2cBus) else {"device": text}
-        return self.unread(self.quantity, quantities)
+        return self.misfit_if_unread(self.quantity, quantities)
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
         """Set the reading to zero, or silence the device."""
@@ -68,7 +68,7 @@ class StuckSensor(OfSensor):
         quantities = ("torque", "q_axis_current", "velocity", "angle")
         return tuple(Drill({"quantity": quantity}, 2.1, "stuck_s") for quantity in quantities)
 
-    def reads(self, draw: Draw) -> Callable[[float], float]:
+    def faulty_reading(self, draw: Draw) -> Callable[[float], float]:
         """Return a function that repeats the first value."""
         held: list[float] = []
 
@@ -100,13 +100,13 @@ class NoisySensor(OfSensor):
         faults, unit = super().misfits(planned_bench), UNITS.get(self.quantity, self.unit)
         return faults if self.unit == unit else faults | {"unit": f"{self.quantity} is in {unit}, not in {self.unit}"}
 
-    def reads(self, draw: Draw) -> Callable[[float], float]:
+    def faulty_reading(self, draw: Draw) -> Callable[[float], float]:
         """Return a function that adds normal noise to a value."""
         return lambda value: value + self.spread * float(draw.standard_normal())
 
 
-BEYOND_ANY_RANGE = 1e6
-ENDLESS = ("velocity", "angle")
+OUT_OF_EVERY_RANGE = 1e6  # in any unit, above the range of every device
+UNBOUNDED_QUANTITIES = ("velocity", "angle")  # read by encoders
 
 
 class SaturatedSensor(OfSensor):
@@ -127,13 +127,13 @@ class SaturatedSensor(OfSensor):
 
     def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
         """Reason if the quantity comes from an encoder, which has no range, or if the device does not read it."""
-        if self.quantity in ENDLESS:
+        if self.quantity in UNBOUNDED_QUANTITIES:
             return {"quantity": f"{self.quantity} comes from an encoder, which has no end of its range"}
         return super().misfits_of(planned_bench, far_end, quantities)
 
-    def reads(self, draw: Draw) -> Callable[[float], float]:
+    def faulty_reading(self, draw: Draw) -> Callable[[float], float]:
         """Return a function that gives more than any device can measure; each device then gives its end of range."""
-        value = BEYOND_ANY_RANGE if self.end == "high" else -BEYOND_ANY_RANGE
+        value = OUT_OF_EVERY_RANGE if self.end == "high" else -OUT_OF_EVERY_RANGE
         return lambda _value: value
 
 
@@ -157,6 +157,6 @@ class ScaledSensor(OfSensor):
             Drill({"quantity": "q_axis_current", "gain": 1000.0}, 0.05, "limit of current_A"),
         )
 
-    def reads(self, draw: Draw) -> Callable[[float], float]:
+    def faulty_reading(self, draw: Draw) -> Callable[[float], float]:
         """Return a function that converts a value to the wrong scale."""
         return lambda value: self.gain * value + self.offset

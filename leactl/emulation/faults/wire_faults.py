@@ -84,7 +84,7 @@ class LateFrames(OfFrames):
         return (Drill({"delay_s": 0.2, "direction": "to_host"}, 0.1, "cyclic_age_s"),)
 
     @property
-    def fate(self) -> float | None:
+    def frame_delay(self) -> float | None:
         """Delay of a frame [s]."""
         return self.delay_s
 
@@ -101,6 +101,6 @@ class LostFrames(OfFrames):
         return Drill({}, 0.1, "cyclic_age_s"), Drill({"direction": "to_devices"}, 0.1, "cyclic_age_s")
 
     @property
-    def fate(self) -> float | None:
+    def frame_delay(self) -> float | None:
         """None: a lost frame never arrives."""
         return None

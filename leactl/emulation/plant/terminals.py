@@ -16,9 +16,9 @@ from leactl.emulation.plant.exact.rig import Actuator
 from leactl.emulation.plant.stepped.rig import SteppedActuator
 
 Array = NDArray[np.float64]
-SAMPLES = 64  # that are kept, of at most 8 ms or so; a converter asks once a millisecond
-THIRD = 2.0 * math.pi / 3.0
-TO_PHASE = math.sqrt(2.0 / 3.0)  # amplitude of a phase over the q-axis voltage, power-invariant
+MOST_SAMPLES = 64  # kept, about 8 ms; a converter reads once a millisecond
+THIRD_OF_A_TURN = 2.0 * math.pi / 3.0
+PHASE_PER_Q_VOLT = math.sqrt(2.0 / 3.0)  # amplitude of a phase over the q-axis voltage, power-invariant
 
 
 class MotorTerminals:
@@ -32,7 +32,7 @@ class MotorTerminals:
         chance: np.random.Generator,
     ) -> None:
         self._actuator, self._harmonics, self._noise, self.chance = actuator, harmonics, noise_V, chance
-        self._samples: deque[tuple[float, float, float]] = deque(maxlen=SAMPLES)
+        self._samples: deque[tuple[float, float, float]] = deque(maxlen=MOST_SAMPLES)
         self._columns: Array | None = None  # of the samples, made when first needed
 
     def sample(self, now: float) -> None:
@@ -47,14 +47,14 @@ class MotorTerminals:
         moments, angles, volts = self._columns
         parameters = self._actuator.parameters
         angle = parameters.pole_pairs * np.interp(times, moments, angles) + parameters.phases.commutation_offset
-        amplitude = TO_PHASE * np.interp(times, moments, volts)
+        amplitude = PHASE_PER_Q_VOLT * np.interp(times, moments, volts)
         difference = self._phase(angle, pair) - self._phase(angle, (pair + 1) % 3)
         if parameters.winding == "delta":  # a pair is one phase, of the same shape and angle as the wye's difference
             difference = difference / math.sqrt(3.0)
         return np.asarray(amplitude * difference + self._noise * self.chance.standard_normal(len(times)))
 
     def _phase(self, angle: Array, phase: int) -> Array:
-        phase_angle = angle - phase * THIRD
+        phase_angle = angle - phase * THIRD_OF_A_TURN
         shape = -np.sin(phase_angle)  # the q axis leads the angle by a quarter turn
         for harmonic in self._harmonics:
             shape -= harmonic.share * np.sin(harmonic.order * phase_angle + harmonic.phase_rad)

@@ -25,12 +25,12 @@ BASES = {  # value before a quantity begins to rise, in SI units and degC
     "ambient_temperature": 24.0,
 }
 OTHER_BASE = 1.5
-# share of its base by which a quantity rises in a measurement: a repeated old reading is then far off; no round
-# number, so that readings repeated for some samples each differ from the multiples that a display shows
+# share of its base by which a quantity rises in a measurement, so that an old reading that is repeated is far off; no
+# round number, so that readings repeated for some samples differ from the multiples that a display shows
 RISE = 0.47
 AMPLITUDE_V = 4.0
-HIGHEST_HZ = 7.0  # of the voltages at the leads
-TURN_PER_SAMPLE = 0.004  # of the voltages at the leads: an instrument may take a part of its period to answer
+HIGHEST_FREQUENCY_HZ = 7.0  # of the voltages at the leads
+MOST_TURN_PER_SAMPLE = 0.004  # of the voltages at the leads, so that an instrument's delay in its period does not count
 
 
 class KnownMachine:
@@ -71,7 +71,7 @@ class KnownTerminals:
 
     def __init__(self) -> None:
         self.chance = np.random.default_rng(0)
-        self.frequency_Hz = HIGHEST_HZ
+        self.frequency_Hz = HIGHEST_FREQUENCY_HZ
 
     def voltages(self, times: NDArray[np.float64], pair: int) -> NDArray[np.float64]:
         """Voltages [V] of a pair of leads at these times."""
@@ -91,7 +91,8 @@ class KnownBench:
     def rise(self, duration: float, interval: float = 0.0) -> None:
         """Make every quantity rise from now on, over a duration [s], while a device samples it at an interval [s]."""
         self.rises_from, self.rises_for = self._clock.now(), duration
-        self.leads.frequency_Hz = min(HIGHEST_HZ, TURN_PER_SAMPLE / interval) if interval > 0.0 else HIGHEST_HZ
+        most = MOST_TURN_PER_SAMPLE / interval if interval > 0.0 else math.inf
+        self.leads.frequency_Hz = min(HIGHEST_FREQUENCY_HZ, most)
 
     def machine(self, role: str) -> KnownMachine:
         """The machine that the drive of this role turns."""

@@ -18,10 +18,10 @@ from leactl.emulation.clock import EmulatedClock
 
 TICK_S = 1e-3
 LEAST_WAIT_S = 1e-9  # a wait that rounding makes shorter must still let time pass, or it would never end
-STOPS_PER_S = 8000  # at most 0.125 ms late for a device, and few of the plant's own steps
+MOST_STOPS_PER_S = 8000  # of the plant for I2C devices, which are then at most 0.125 ms late
 
-Passes = Callable[[Frame, CanEmulator | None], float | None]
-"""How much later a frame of this device, or of a host (None), arrives [s]; None where it is lost."""
+FrameDelay = Callable[[Frame, CanEmulator | None], float | None]
+"""Returns the delay [s] of a frame of a device, or of a host if the device is None; None if the frame is lost."""
 
 
 def message_of(frame: Frame, timestamp: float = 0.0) -> can.Message:
@@ -42,7 +42,7 @@ class CanWire:
         self.hosts: list[EmulatedCanBus] = []
         self.cut = False  # the cable is unplugged: nothing arrives, on either side
         self.off = False  # the hosts' controller has left the bus: they cannot send, and nothing comes in
-        self._disturbances: list[Passes] = []
+        self._disturbances: list[FrameDelay] = []
         self._late: list[tuple[float, int, Callable[[], None]]] = []
         self._held_up = 0  # frames so far: those of one moment keep their order
         clock.follow(self._pass_time)
@@ -52,15 +52,15 @@ class CanWire:
         """Put a device on the segment."""
         self.devices.append(device)
 
-    def disturb(self, passes: Passes) -> Callable[[], None]:
+    def disturb(self, delay_of_frame: FrameDelay) -> Callable[[], None]:
         """Apply a fault to every frame; returns a function that removes it."""
-        self._disturbances.append(passes)
-        return lambda: self._disturbances.remove(passes)
+        self._disturbances.append(delay_of_frame)
+        return lambda: self._disturbances.remove(delay_of_frame)
 
     def from_host(self, frame: Frame, sender: "EmulatedCanBus") -> None:
         """Deliver a host's frame, and the answers of the devices."""
         if self._disturbances:
-            self._carry(frame, None, partial(self._to_devices, frame, sender))
+            self._deliver(frame, None, partial(self._to_devices, frame, sender))
         else:
             self._to_devices(frame, sender)
 
@@ -79,14 +79,14 @@ class CanWire:
     def _from_device(self, device: CanEmulator, frames: list[Frame]) -> None:
         if self._disturbances:
             for frame in frames:
-                self._carry(frame, device, partial(self._to_hosts, [frame]))
+                self._deliver(frame, device, partial(self._to_hosts, [frame]))
         else:
             self._to_hosts(frames)
 
-    def _carry(self, frame: Frame, source: CanEmulator | None, deliver: Callable[[], None]) -> None:
+    def _deliver(self, frame: Frame, source: CanEmulator | None, deliver: Callable[[], None]) -> None:
         delay = 0.0
-        for passes in self._disturbances:
-            added_delay = passes(frame, source)
+        for delay_of_frame in self._disturbances:
+            added_delay = delay_of_frame(frame, source)
             if added_delay is None:
                 return
             delay += added_delay
@@ -160,7 +160,7 @@ class EmulatedI2cBus:
 
     def _due(self) -> float:
         due = min((device.due for device in self.devices.values()), default=math.inf)
-        return math.ceil(due * STOPS_PER_S) / STOPS_PER_S if due < math.inf else due
+        return math.ceil(due * MOST_STOPS_PER_S) / MOST_STOPS_PER_S if due < math.inf else due
 
     def _pass_time(self, now: float) -> None:
         for device in self.devices.values():

@@ -4,15 +4,15 @@ import select
 import socket
 from contextlib import suppress
 
-MOST_BYTES = 4096
-WAITING = 8  # connections that are not accepted yet
+MOST_BYTES = 4096  # of one read
+MOST_WAITING = 8  # connections that are not accepted yet
 
 
 class ListeningSocket:
     """A TCP server on a free port of the loopback interface; it serves the client that has connected last."""
 
     def __init__(self) -> None:
-        self._listener = socket.create_server(("127.0.0.1", 0), backlog=WAITING)
+        self._listener = socket.create_server(("127.0.0.1", 0), backlog=MOST_WAITING)
         self._listener.setblocking(False)
         self._client: socket.socket | None = None
         self._events = select.epoll()  # one descriptor to wait for, whichever of the two sockets is ready

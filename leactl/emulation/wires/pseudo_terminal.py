@@ -4,7 +4,7 @@ import os
 import pty
 import tty
 
-MOST_BYTES = 4096
+MOST_BYTES = 4096  # of one read
 
 
 class PseudoTerminal:

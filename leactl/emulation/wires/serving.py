@@ -27,10 +27,10 @@ from leactl.emulation.wires.serial import EmulatedSerialLine, SerialWire
 from leactl.emulation.wires.slcan import SlcanAdapter
 from leactl.errors import DeviceError, InputError
 
-PACE_S = 0.002  # the plant is never further behind the wall clock than this
+LONGEST_LAG_S = 0.002  # of the plant behind the wall clock
 STUB_NAME = "SMBus stub driver"
-STUB_PACE_S = 1e-4
-MOST_AT_ONCE = 64  # frames; a cycle of two drives has seven
+LONGEST_STUB_LAG_S = 1e-4  # of the plant, if a chip of i2c-stub is served
+MOST_FRAMES_AT_ONCE = 64  # a cycle of two drives has seven
 
 
 class HostSide(Protocol):
@@ -77,7 +77,7 @@ class CanBridge:
 
     def carry(self) -> None:
         """Pass on the frames of both sides, up to a limit: a busy host must not hold up the bench's time."""
-        for _ in range(MOST_AT_ONCE):
+        for _ in range(MOST_FRAMES_AT_ONCE):
             message = self.real.recv(0.0)
             if message is None:
                 break
@@ -168,7 +168,7 @@ class StubChip:
 
 
 @contextmanager
-def bridged(
+def bridge_buses(
     file: BenchFile, wires: Mapping[str, CanWire], serial_wires: Mapping[str, SerialWire]
 ) -> Iterator[dict[str, Bridge]]:
     """Bridge every CAN bus, serial line and raw socket of the file to its wire within the block.
@@ -253,7 +253,7 @@ def serve(clock: EmulatedClock, bridges: Sequence[Bridge], chips: Sequence[StubC
     """
     began = time.monotonic() - clock.now()
     handles = [bridge.fileno() for bridge in bridges]
-    pace = STUB_PACE_S if chips else PACE_S
+    pace = LONGEST_STUB_LAG_S if chips else LONGEST_LAG_S
     try:
         while not stop():
             select.select(handles, [], [], pace)

@@ -79,7 +79,7 @@ class PlantUnbalance(PlantEffect):
         return self.amplitude * np.sin(angle + self.phase)
 
 
-SLIP_ANGLE = 25.0  # rad from rest (four turns), at which slip halves the torque of Hooke's law
+HALF_TORQUE_ANGLE = 25.0  # rad (four turns) from the rest angle, at which slip halves the torque of Hooke's law
 
 
 @dataclass(frozen=True)
@@ -96,4 +96,4 @@ class PlantPositionSpring(PlantEffect):
     def torque(self, angle: Value, velocity: Value) -> Value:
         """Follow Hooke's law near the rest angle; further away the cable slips on its drum."""
         deflection = angle - self.rest_angle
-        return -self.stiffness * deflection / (1.0 + np.abs(deflection) / SLIP_ANGLE)
+        return -self.stiffness * deflection / (1.0 + np.abs(deflection) / HALF_TORQUE_ANGLE)

@@ -36,7 +36,7 @@ class PlantEffect(Checked):
     """One effect that the nominal plant lacks, on one actuator."""
 
     adds_torque: ClassVar[bool] = False
-    needs_whole_record: ClassVar[bool] = False  # `torque_record` looks ahead: nothing for a live bench
+    needs_whole_record: ClassVar[bool] = False  # `torque_record` uses later samples, which a live bench does not have
     role: str = "test"
 
     def __post_init__(self) -> None:
@@ -170,7 +170,7 @@ class PlantEffect(Checked):
         """Heat capacity of a fixture on the housing [J/K] and the thermal resistance between them [K/W]."""
         return None
 
-    def camera(self, temperature: Value, ambient: Value) -> Value:
+    def camera_reading(self, temperature: Value, ambient: Value) -> Value:
         """Temperature that the camera reads [degC]."""
         return temperature
 
@@ -178,7 +178,7 @@ class PlantEffect(Checked):
 HOOKS = tuple(name for name, member in vars(PlantEffect).items() if callable(member) and not name.startswith("_"))
 """Names of the methods that an effect may override."""
 RIG_HOOKS = ("torque", "sense_current", "sense_torque")
-"""Names of those hooks that the rig calls."""
+"""Names of the hooks that the rig calls."""
 
 
 def own_hooks(effect: PlantEffect) -> list[str]:

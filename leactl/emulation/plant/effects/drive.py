@@ -1,4 +1,4 @@
-"""What drive, inverter and supply do to the current that is asked for."""
+"""Drives, inverters and supplies whose current differs from the demanded one."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ class PlantTransportDelay(PlantEffect):
     delay: float = bounded(0.0, 0.0, 0.5)  # s
 
     def reference_path(self, lanes: int, step_s: float) -> Path:
-        """Delay the reference."""
+        """Return the delay of the reference."""
         return Delay(self.delay, lanes, step_s)
 
 
@@ -33,13 +33,13 @@ class PlantCommandSlewLimit(PlantEffect):
     rate: float = bounded(1e6, 1e-3, 1e9)  # A/s
 
     def reference_path(self, lanes: int, step_s: float) -> Path:
-        """Move towards the reference by at most rate x step."""
-        followed = np.zeros(lanes)
+        """Return a function that moves towards the reference by at most rate x step."""
+        limited = np.zeros(lanes)
         most = self.rate * step_s
 
         def step(reference: Value) -> Value:
-            np.add(followed, np.minimum(np.maximum(reference - followed, -most), most), out=followed)
-            return followed
+            np.add(limited, np.minimum(np.maximum(reference - limited, -most), most), out=limited)
+            return limited
 
         return step
 
@@ -58,7 +58,7 @@ class PlantTorqueLimit(PlantEffect):
         return np.minimum(np.maximum(reference, -self.current), self.current)
 
 
-STANDSTILL = 1e-6  # rad/s, below which no power flows
+LEAST_SPEED = 1e-6  # rad/s, below which the limit stays constant
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class PlantPowerFoldback(PlantEffect):
 
     def bounded_reference(self, reference: Value, torque_constant: Value, velocity: Value) -> Value:
         """Limit the current so that torque constant times velocity times current stays within the power."""
-        most = self.power / (torque_constant * np.maximum(np.abs(velocity), STANDSTILL))
+        most = self.power / (torque_constant * np.maximum(np.abs(velocity), LEAST_SPEED))
         return np.minimum(np.maximum(reference, -most), most)
 
 

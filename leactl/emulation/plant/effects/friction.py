@@ -20,7 +20,7 @@ class PlantAsymmetricFriction(PlantEffect):
     asymmetry: float = bounded(0.0, -0.95, 0.95)
 
     def coulomb(self, level: Value, now: Now) -> Value:
-        """Take the direction in which the rotor turns, or would turn if it did not stick."""
+        """Change the level with the sign of the velocity before friction, which a sticking rotor has too."""
         return level * (1.0 + self.asymmetry * np.sign(now.velocity))
 
 
@@ -55,7 +55,7 @@ class PlantQuadraticDrag(PlantEffect):
         return -self.coefficient * velocity * np.abs(velocity)
 
 
-SLIDERS = 8
+SLIDER_COUNT = 8
 
 
 @dataclass(frozen=True)
@@ -68,10 +68,10 @@ class PlantPresliding(PlantEffect):
     displacement: float = bounded(0.001, 1e-6, 1.0)  # rad
 
     def friction_path(self, lanes: int, step_s: float) -> Callable[[Value, Value], Value]:
-        """Stretch each spring with the motion, up to where its slider slips."""
-        shares = (np.arange(SLIDERS) + 1.0)[:, None] / SLIDERS
+        """Return a function that stretches each spring with the motion until its slider slips."""
+        shares = (np.arange(SLIDER_COUNT) + 1.0)[:, None] / SLIDER_COUNT
         reach = shares * np.broadcast_to(self.displacement, (lanes,))
-        stretch = np.zeros((SLIDERS, lanes))
+        stretch = np.zeros((SLIDER_COUNT, lanes))
         # equal springs whose reaches are spread evenly: the sum is u (2 - u) of the level at u = travel / displacement
         stiffness = 1.0 / reach.sum(axis=0)
 

@@ -1,4 +1,4 @@
-"""Sensors of current, motion and temperature that read something else than what is there."""
+"""Sensors of current, motion and temperature whose readings differ from the true values."""
 
 from dataclasses import dataclass
 
@@ -64,7 +64,7 @@ class PlantVelocityFilterLag(PlantEffect):
     time_constant: float = bounded(0.001, 1e-6, 10.0)  # s
 
     def velocity_path(self, lanes: int, step_s: float) -> Path:
-        """Apply the lag, from rest at the start."""
+        """Return the lag, which starts from rest."""
         return Lag(self.time_constant, lanes, step_s)
 
 
@@ -75,8 +75,8 @@ class PlantEmissivityBias(PlantEffect):
     Reading = ambient + fraction x rise.
     """
 
-    fraction: float = bounded(1.0, 0.01, 10.0)
+    fraction: float = bounded(1.0, 0.01, 10.0)  # rise that the camera reads over the true rise
 
-    def camera(self, temperature: Value, ambient: Value) -> Value:
+    def camera_reading(self, temperature: Value, ambient: Value) -> Value:
         """Scale the rise above ambient by the fraction."""
         return ambient + self.fraction * (temperature - ambient)

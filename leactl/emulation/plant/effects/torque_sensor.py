@@ -1,4 +1,4 @@
-"""Torque sensors that read something else than the shaft's torque, or late."""
+"""Torque sensors whose readings differ from the shaft's torque, or are late."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -67,7 +67,7 @@ class PlantTorqueSensorCrosstalk(PlantEffect):
         return torque + self.amplitude * np.sin(angle + self.phase)
 
 
-REACHES = np.array([0.1, 0.25, 0.5])  # of the swing
+REACH_SHARES = np.array([0.1, 0.25, 0.5])  # reach of each slider over the torque's swing
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,8 @@ class PlantTorqueSensorHysteresis(PlantEffect):
     def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
         """Subtract the mean torque that the sliders hold back, which is limited by the reach of each."""
         swing = 0.5 * (torque.max(axis=0) - torque.min(axis=0)) + 1e-9
-        reach = REACHES[:, None] * swing
-        share = self.width / REACHES.mean()
+        reach = REACH_SHARES[:, None] * swing
+        share = self.width / REACH_SHARES.mean()
         held = np.zeros_like(reach)
         before = torque[0]
         reading = np.empty_like(torque)
@@ -106,7 +106,7 @@ class PlantTorqueSensorLag(PlantEffect):
     time_constant: float = bounded(0.001, 1e-6, 10.0)  # s
 
     def torque_path(self, lanes: int, step_s: float) -> Path:
-        """Apply the lag, from zero torque at the start."""
+        """Return the lag, which starts from zero torque."""
         return Lag(self.time_constant, lanes, step_s)
 
 
@@ -120,5 +120,5 @@ class PlantTimeSkew(PlantEffect):
     delay: float = bounded(0.0, 0.0, 0.5)  # s
 
     def torque_path(self, lanes: int, step_s: float) -> Path:
-        """Delay the torque reading."""
+        """Return the delay of the torque reading."""
         return Delay(self.delay, lanes, step_s)

@@ -26,12 +26,12 @@ class CoarseCurrentCommand(Unlisted):
         return cls(step=between(0.06, 0.8, size))
 
     def reference_path(self, lanes: int, step_s: float) -> Path:
-        """Round the reference to the step."""
+        """Return a function that rounds the reference to the step."""
 
-        def followed(reference: Value) -> Value:
+        def rounded(reference: Value) -> Value:
             return np.rint(reference / self.step) * self.step
 
-        return followed
+        return rounded
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from leactl.emulation.plant.exact.regime import (
 )
 
 TICK = 0.02 / 640  # s
-FINE_LEVEL = 3  # up to 0.25 ms margins are looked at every tick, above it every 0.25 ms: 11 times a shaft period
+FINE_LEVEL = 3  # to 0.25 ms, margins are checked every tick; in longer steps every 0.25 ms, 11 times a shaft period
 TOP_LEVEL = 10  # 32 ms
 
 

@@ -44,13 +44,13 @@ from leactl.errors import InputError
 MODES = ("off", "current", "velocity", "angle")
 SETUPS = ("free", "locked", "coupled", "heated")
 ROLES = ("test", "load")
-TOLERANCE = 1e-9  # of a margin, in its own unit
-LEAST_S = 1e-9  # rounding of the requested times; a shorter time changes nothing
-RESTART_LEVEL = 3  # 0.25 ms after every change
-MOST_IDLE = 8  # changes of regime at one moment
-UNPOWERED = 10.0  # V, below which the drives are off
-LEAST_CHANGE = 0.01  # V, of the bus, for which the matrices are made anew
-FRESH_RESISTANCE = 0.002  # relative change after which the matrices are made anew
+MARGIN_TOLERANCE = 1e-9  # in the margin's unit
+LEAST_ADVANCE_S = 1e-9  # rounding error of the requested times; a shorter time changes nothing
+RESTART_LEVEL = 3  # of the step after a change of regime: 0.25 ms
+MOST_REGIME_CHANGES = 8  # at one moment
+LEAST_POWERED_V = 10.0  # DC link voltage below which the drives are off
+LEAST_VOLTAGE_CHANGE = 0.01  # V, of the DC link, from which on the matrices are computed again
+MOST_RESISTANCE_CHANGE = 0.002  # relative, after which the matrices are computed again
 
 
 class Actuator:
@@ -157,7 +157,7 @@ class Rig:
         self._top_level = RESTART_LEVEL if self._held else TOP_LEVEL
         self._point = np.zeros(SIZE)
         self._point[CONSTANT] = 1.0
-        self._idle = 0
+        self._idle_changes = 0
         self._heat = [0.0, 0.0]
         self._friction_heat = [0.0, 0.0]
         self._phases = RigPhases(pair, self.bench.ambient_temperature) if self.bench.phase_resolved else None
@@ -234,7 +234,7 @@ class Rig:
 
     def voltage(self, k: int) -> float:
         """Q-axis voltage at the terminals of one actuator [V]."""
-        self._correct()
+        self._set_voltage_correction()
         ceiling = self._plant.voltage_ceiling(k)
         actuator_regime = self._regime.actuators[k]
         if actuator_regime.voltage:
@@ -251,25 +251,25 @@ class Rig:
     # ---------------------------------------------------------------- commands
 
     def supply(self, voltage: float) -> None:
-        """Set the DC link voltage [V] from now on; below `UNPOWERED` the drives are off."""
+        """Set the DC link voltage [V] from now on; below `LEAST_POWERED_V` the drives are off."""
         self._bus_voltage = voltage
-        if voltage < UNPOWERED:
+        if voltage < LEAST_POWERED_V:
             for actuator in self._pair:
                 actuator.command("off")
             return
-        if abs(voltage - self.bench.bus_voltage) < LEAST_CHANGE:
+        if abs(voltage - self.bench.bus_voltage) < LEAST_VOLTAGE_CHANGE:
             return
         self.bench = replace(self.bench, bus_voltage=voltage)
         self._plant = self._plant._replace(bench=self.bench)
         self._propagators.clear()  # their matrices depend on the voltage ceiling
         for k in (0, 1):
-            self._classify(k)
+            self._find_reached_limits(k)
 
     def take_command(self, k: int, mode: str, value: float) -> None:
         """Set mode and setpoint of one drive, from now on."""
         if self.setup == "heated" and mode != "off":
             raise InputError("the heated setup has no drive: set heater_current, or choose another setup")
-        if self._bus_voltage < UNPOWERED:
+        if self._bus_voltage < LEAST_POWERED_V:
             mode = "off"
         actuator, x = self._pair[k], k * PER_ACTUATOR
         before, actuator.mode, actuator.setpoint = actuator.mode, mode, value
@@ -279,9 +279,9 @@ class Rig:
             self._point[x + INTEGRAL] = self._point[x + CURRENT]
         peak = self.bench.peak_current
         self._point[STATES + k * INPUTS + SETPOINT] = min(max(value, -peak), peak) if mode == "current" else value
-        self._classify(k)
+        self._find_reached_limits(k)
 
-    def _classify(self, k: int) -> None:
+    def _find_reached_limits(self, k: int) -> None:
         """Find which limits of one drive are reached after a jump of its command."""
         slip = self._regime.actuators[k].slip
         actuator_regime = ActuatorRegime(self._pair[k].mode, slip=slip)
@@ -332,7 +332,7 @@ class Rig:
             self._pair[1].thermal.step(round(duration, 9), 0.0)
             return
         self._refresh_resistances()
-        self._march(duration)
+        self._step_through(duration)
         if self._phases is not None:
             return
         for k, actuator in enumerate(self._pair):
@@ -346,35 +346,35 @@ class Rig:
         for k in (0, 1):
             self._resistances[k] = exact = self._pair[k].resistance
             rounded = self._regime.resistances[k]
-            stale = stale or abs(exact - rounded) > FRESH_RESISTANCE * rounded
+            stale = stale or abs(exact - rounded) > MOST_RESISTANCE_CHANGE * rounded
         if stale:
             level = self._level
             self._enter(self._regime._replace(resistances=(self._resistances[0], self._resistances[1])))
             self._level = level
 
-    def _correct(self) -> None:
-        """Set the voltage correction for the part that rounding takes off each resistance."""
+    def _set_voltage_correction(self) -> None:
+        """Set the voltage correction for the difference between each resistance and the rounded one of the matrices."""
         point, rounded = self._point, self._regime.resistances
         for k in (0, 1):
             excess = self._pair[k].resistance - rounded[k]
             point[STATES + k * INPUTS + CORRECTION] = excess * point[k * PER_ACTUATOR + CURRENT]
 
-    def _force(self) -> None:
+    def _set_effect_torques(self) -> None:
         for k, effects in enumerate(self._torques):
             if effects:
                 velocity = self.state(k * PER_ACTUATOR + VELOCITY)
                 angle = self.state(k * PER_ACTUATOR + ANGLE) + velocity * 4 * TICK
                 self._point[STATES + k * INPUTS + TORQUE] = sum(effect.torque(angle, velocity) for effect in effects)
 
-    def _march(self, duration: float) -> None:
+    def _step_through(self, duration: float) -> None:
         remaining = duration
-        while remaining > LEAST_S:
+        while remaining > LEAST_ADVANCE_S:
             exact = self._resistances
             point, rounded = self._point, self._regime.resistances
             point[14] = (exact[0] - rounded[0]) * point[0]
             point[17] = (exact[1] - rounded[1]) * point[5]
             if self._held:
-                self._force()
+                self._set_effect_torques()
             ticks = int(remaining / TICK + 1e-6)
             if ticks == 0:
                 remaining -= self._step_to_event(remaining)
@@ -383,7 +383,7 @@ class Rig:
             propagator = self._propagator
             ahead = propagator.step(level).dot(point)
             margins = ahead[STATES:]
-            if propagator.count and margins.min() < -TOLERANCE:
+            if propagator.count and margins.min() < -MARGIN_TOLERANCE:
                 remaining -= self._retreat(level, margins, min(remaining, TICK))
                 continue
             step = TICK * (1 << level)
@@ -408,7 +408,7 @@ class Rig:
     def _retreat(self, level: int, margins: Array, remaining: float) -> float:
         """Go to the last point before a margin becomes negative, and shorten the steps; return the elapsed time [s]."""
         propagator = self._propagator
-        units_before = int(np.argmax((margins < -TOLERANCE).reshape(-1, propagator.count).any(axis=1)))
+        units_before = int(np.argmax((margins < -MARGIN_TOLERANCE).reshape(-1, propagator.count).any(axis=1)))
         if level == 0:
             return self._step_to_event(remaining)
         spacing = 0 if level <= RESTART_LEVEL else RESTART_LEVEL
@@ -432,23 +432,23 @@ class Rig:
             self._accept(ahead[:STATES], duration)
             return duration
         before, after = propagator.margins @ point, propagator.margins @ ahead
-        if after.min() >= -TOLERANCE:
+        if after.min() >= -MARGIN_TOLERANCE:
             self._accept(ahead[:STATES], duration)
             return duration
         share, which = 2.0, 0
-        for index in np.flatnonzero(after < -TOLERANCE):
+        for index in np.flatnonzero(after < -MARGIN_TOLERANCE):
             start = max(float(before[index]), 0.0)
             crossing = start / (start - float(after[index]))
             if crossing < share:
                 share, which = crossing, int(index)
         share = self._refine(which, duration, share)
         if share > 0.0:
-            self._idle = 0
+            self._idle_changes = 0
             self._accept(propagator.ahead(point, share * duration)[:STATES], share * duration)
         else:
-            self._idle += 1
-            if self._idle > MOST_IDLE:  # regimes that alternate at one point: let one tick pass
-                self._idle = 0
+            self._idle_changes += 1
+            if self._idle_changes > MOST_REGIME_CHANGES:  # regimes that alternate at one point: let one tick pass
+                self._idle_changes = 0
                 self._accept(ahead[:STATES], duration)
                 self._settle_signs()
                 return duration
@@ -470,7 +470,7 @@ class Rig:
             return 0.0
         for _ in range(4):
             value = margin(share)
-            if abs(value) < 0.1 * TOLERANCE:
+            if abs(value) < 0.1 * MARGIN_TOLERANCE:
                 break
             if value > 0.0:
                 low, low_value = share, value
@@ -486,10 +486,10 @@ class Rig:
         if switch.field == "slip" and value == 0:
             self._point[k * PER_ACTUATOR + VELOCITY] = 0.0
             net = self._propagator.net_torque(k, self._point)
-            if abs(net) > self._plant.actuators[k].coulomb_friction + TOLERANCE:
+            if abs(net) > self._plant.actuators[k].coulomb_friction + MARGIN_TOLERANCE:
                 value = 1 if net > 0.0 else -1
         changes: dict[str, Any] = {switch.field: value}
         self._enter(self._with(k, actuator_regime._replace(**changes)))
 
 
-__all__ = ["FILTERED", "ROLES", "SETUPS", "UNPOWERED", "Rig"]
+__all__ = ["FILTERED", "LEAST_POWERED_V", "ROLES", "SETUPS", "Rig"]

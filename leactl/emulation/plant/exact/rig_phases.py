@@ -15,10 +15,10 @@ from leactl.emulation.plant.phases import PhaseNetwork, lead_squares, turning_sq
 from leactl.emulation.plant.thermal import ExactThermalNetwork
 from leactl.errors import InputError
 
-HELD_S = 0.01  # heat is gathered this long while nobody asks: 45 A at rest warm a phase by 0.5 K
-LEAST_S = 1e-9  # rounding of the moments that a host asks for; less than this is no step
-PARTS = {"active": slice(0, 2), "inactive": slice(2, 3)}  # of the phases, by whether two leads feed them
-LONGEST_S = 0.05  # of a step under direct current, 1/130 of a phase's time constant
+LONGEST_GATHERING_S = 0.01  # of heat, before it is applied: 45 A at rest warm a phase by 0.5 K in this time
+LEAST_STEP_S = 1e-9  # rounding error of the requested times; a shorter step is left out
+PARTS = {"active": slice(0, 2), "inactive": slice(2, 3)}  # phases that two leads feed, and the other one
+LONGEST_STEP_S = 0.05  # under direct current: 1/130 of a phase's time constant
 
 
 def refuse_idle_settings(bench: BenchParameters, *pair: ActuatorParameters) -> None:
@@ -47,7 +47,7 @@ class RigPhases:
     def __init__(self, pair: Sequence[HeatedActuator], ambient: float) -> None:
         actuators = [actuator.parameters for actuator in pair]
         self.network = PhaseNetwork(actuators, [ambient] * len(pair))
-        self._shown = [actuator.thermal for actuator in pair]
+        self._thermal_nodes = [actuator.thermal for actuator in pair]
         self._highest = np.full(len(pair), ambient)
         self._phases: list[list[float]] = self.network.temperatures.T.tolist()  # degC, of each actuator
         self._turns = np.array([float(p.pole_pairs) for p in actuators])
@@ -75,12 +75,12 @@ class RigPhases:
         self._steps.append(step)
         self._ends.append([_ends(before), _ends(after)])
         self._gathered += step
-        if self._gathered > HELD_S - LEAST_S:
+        if self._gathered > LONGEST_GATHERING_S - LEAST_STEP_S:
             self.hold(friction)
 
     def hold(self, friction: list[float]) -> None:
         """Apply the gathered heat to the network, and reset the friction heat to zero."""
-        if self._gathered < LEAST_S:
+        if self._gathered < LEAST_STEP_S:
             return
         lengths, ends = np.array(self._steps), np.array(self._ends)  # step, end, current and angle of each
         total = float(lengths.sum())
@@ -89,27 +89,27 @@ class RigPhases:
         phase_squares = turning_squares(squares, angles[:, 0], angles[:, 1])
         means = np.einsum("s,psl->pl", lengths, phase_squares) / total
         self._step(round(total, 9), means, np.array(friction) / total)
-        self._show()
+        self._update_thermal_nodes()
         friction[:] = [0.0] * len(friction)
         self._steps, self._ends, self._gathered = [], [], 0.0
 
     def heat_leads(self, duration: float, current: float) -> None:
         """Advance by a duration [s] with direct current through two leads of the test actuator [A]."""
-        if duration < LEAST_S:
+        if duration < LEAST_STEP_S:
             return
         squares = lead_squares(np.array([current**2, 0.0]))
-        steps = int(np.ceil(duration / LONGEST_S))
+        steps = int(np.ceil(duration / LONGEST_STEP_S))
         for _ in range(steps):
             self._step(round(duration / steps, 9), squares, None)
-        self._show()
+        self._update_thermal_nodes()
 
     def _step(self, duration: float, squares: Array, housing_heat: Array | None) -> None:
         self.network.step(duration, squares, housing_heat)
         np.maximum(self._highest, self.network.hottest, out=self._highest)
 
-    def _show(self) -> None:
+    def _update_thermal_nodes(self) -> None:
         self._phases = self.network.temperatures.T.tolist()
-        means = zip(self._shown, self.network.winding.tolist(), self.network.housing.tolist(), strict=True)
+        means = zip(self._thermal_nodes, self.network.winding.tolist(), self.network.housing.tolist(), strict=True)
         for nodes, winding, housing in means:
             nodes.winding, nodes.housing = winding, housing
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from leactl.emulation.plant.effects.contract import PlantEffect
-from leactl.emulation.plant.exact.rig import MODES, ROLES, SETUPS, UNPOWERED
+from leactl.emulation.plant.exact.rig import LEAST_POWERED_V, MODES, ROLES, SETUPS
 from leactl.emulation.plant.exact.rig_phases import refuse_idle_settings
 from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
 from leactl.emulation.plant.stepped.lanes import Lane
@@ -74,8 +74,8 @@ class SteppedRig:
         return sum(actuator.voltage * actuator.current_true for actuator in self.actuators.values())
 
     def supply(self, voltage: float) -> None:
-        """Set the DC link voltage [V] from now on; below `UNPOWERED` the drives are off."""
-        self._dead_bus = voltage if voltage < UNPOWERED else None
+        """Set the DC link voltage [V] from now on; below `LEAST_POWERED_V` the drives are off."""
+        self._dead_bus = voltage if voltage < LEAST_POWERED_V else None
         if self._dead_bus is not None:
             for actuator in self.actuators.values():
                 actuator.command("off")

@@ -86,7 +86,7 @@ class ThermalLanes:
     def camera(self) -> Array:
         """Winding and housing temperatures as the camera reads them [degC], shape (2, lanes)."""
         readings = self._state[:2].copy()
-        for group in self._bound["camera"]:
+        for group in self._bound["camera_reading"]:
             ambient = self.logged_ambient[group.lanes]
-            readings[:, group.lanes] = group.effect.camera(readings[:, group.lanes], ambient)
+            readings[:, group.lanes] = group.effect.camera_reading(readings[:, group.lanes], ambient)
         return readings
