@@ -102,7 +102,7 @@ class CanPort:
             try:
                 bus.shutdown()
             except (OSError, _can_error()):
-                return  # it is gone already, which is what was asked for
+                return  # the bus is closed already
 
     def listen(self, identifier: int, listener: Listener | None) -> None:
         """Pass frames of this identifier to a listener; None removes it."""

@@ -69,7 +69,7 @@ class I2cPort:
         bus = self._bus
         if self._users == 0 and bus is not None:
             self._bus = None
-            with suppress(OSError):  # it is gone already, which is what was asked for
+            with suppress(OSError):  # the line is closed already
                 bus.close()
 
     def read(self, address: int, register: int) -> int:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from leactl.driver.can_port import CanPort
     from leactl.driver.contract import Identity
 
-ANSWER_S = 0.5  # that an instrument on a line may take
+ANSWER_S = 0.5  # longest time for an instrument on a line to answer
 
 
 class Sighting(NamedTuple):
@@ -26,9 +26,9 @@ class Sighting(NamedTuple):
 
     address: int | None  # on its bus; None on a line with one device
     identity: "Identity"
-    settings: Mapping[str, Any] | None  # those of the driver that follow from the answer; None: it is for another one
+    settings: Mapping[str, Any] | None  # those that follow from the answer; None: another driver's device
     detail: str = ""  # what else the device said of itself
-    left_open: tuple[str, ...] = ()  # settings that this device needs beside those that every one does
+    left_open: tuple[str, ...] = ()  # settings that this device needs beside those that every device needs
 
 
 Seen = Iterator[Sighting | str]

@@ -246,7 +246,7 @@ class SerialPort:
         self._forget()
         line, self._line = self._line, None
         if line is not None:
-            with suppress(OSError):  # it is gone already, which is what was asked for
+            with suppress(OSError):  # the line is closed already
                 line.close()
 
     def _forget(self) -> None:

@@ -173,11 +173,11 @@ class SupplyLine:
         self.stream = StreamSpec(name, tuple(channels))
         self.supplying = False
         self._opened = False
-        self._seen_off = False  # since it was last switched on
+        self._confirmed_off = False  # since the output was last switched on
         self._talk: Talk[None] | None = None
-        self._levels: tuple[float, float] | None = None  # to be set
-        self._switch: bool | None = None  # to be switched
-        self._asked_on = False  # what was switched last
+        self._demanded_levels: tuple[float, float] | None = None
+        self._demanded_switch: bool | None = None
+        self._expected_on = False  # the output, after the last command to switch it
         self._mode = ""
         self._rows: list[Row] = []
         self._notices: list[str] = []
@@ -185,7 +185,7 @@ class SupplyLine:
     def make_safe(self, deadline_s: float) -> Confirmation:
         """Switch off and confirm it, from any state, over a new connection if needed; never raises."""
         self._forget_demands()
-        self._seen_off = False
+        self._confirmed_off = False
         deadline = self._clock.now() + deadline_s
         reason, off_trouble = "", SwitchOffTrouble()
         while self._clock.now() < deadline:
@@ -203,7 +203,7 @@ class SupplyLine:
                     reason = off_trouble.text or str(error)
                 self._start_afresh(deadline)
                 continue
-            self.supplying, self._seen_off = False, True
+            self.supplying, self._confirmed_off = False, True
             break
         else:
             confirmed = Confirmation(False, f"not confirmed within {deadline_s:g} s: {reason or 'no time was left'}")
@@ -227,14 +227,14 @@ class SupplyLine:
                 self._port.write(self._dialogue.off)
             except DeviceError:
                 if not self._opened:
-                    return  # no line to reach it by, which `make_safe` will tell
+                    return  # there is no line to the supply; `make_safe` returns that as its reason
                 self._port.reopen()
             else:
                 return
 
     def _forget_demands(self) -> None:
-        self._talk = self._levels = self._switch = None
-        self._asked_on = False
+        self._talk = self._demanded_levels = self._demanded_switch = None
+        self._expected_on = False
 
     def open(self, within_s: float) -> None:
         """Connect to the supply: identify it, switch it off, configure it.
@@ -257,7 +257,7 @@ class SupplyLine:
             raise NoAnswer(f"{self._name}: {error}") from None
         except DeviceError as error:
             raise type(error)(f"{self._name}: {error}") from None
-        self.supplying, self._seen_off = False, True
+        self.supplying, self._confirmed_off = False, True
 
     def close(self) -> None:
         """Restore the settings found at `open` if the output is off, and close the line.
@@ -271,7 +271,7 @@ class SupplyLine:
             return
         self._opened = False
         try:
-            if self._seen_off:
+            if self._confirmed_off:
                 self._restore_settings()
         except DeviceError as error:
             raise type(error)(f"its protections were not put back as they were found: {error}") from None
@@ -306,11 +306,11 @@ class SupplyLine:
                 raise InputError(
                     f"{self._name}: {value:g} {unit} asked of a supply that is good for {low:g} to {top:g} {unit}"
                 )
-        self._levels = voltage, current
+        self._demanded_levels = voltage, current
 
     def switch_on(self) -> None:
         """Begin to switch the output on."""
-        self._switch, self._seen_off = True, False
+        self._demanded_switch, self._confirmed_off = True, False
 
     def switch_off(self) -> None:
         """Send the command to switch off at once, and repeat it in `take` until it is confirmed.
@@ -320,7 +320,7 @@ class SupplyLine:
         DeviceError : the line is gone.
         """
         self.stop_now()
-        self._switch = False
+        self._demanded_switch = False
 
     # -- the stream --------------------------------------------------------------------------------------------------
 
@@ -361,7 +361,7 @@ class SupplyLine:
                     yield Pause()
                     continue
                 due = self._clock.now() + self._period_s
-                self._judge((yield from self._dialogue.measure()))
+                self._record_reading((yield from self._dialogue.measure()))
                 lost_rounds = 0
             except (NoAnswer, Unreadable) as error:
                 lost_rounds, synchronised = lost_rounds + 1, False
@@ -371,21 +371,23 @@ class SupplyLine:
 
     def _carry_out(self) -> Script[None]:
         """Carry out demands in the order off, levels, on; a demand stays until it is confirmed."""
-        if self._switch is False:
+        if self._demanded_switch is False:
             yield from self._dialogue.switch(False)
-            self.supplying, self._switch = False, None if self._switch is False else self._switch
-        if self._levels is not None:
-            levels = self._levels
+            self.supplying = False
+            self._demanded_switch = None if self._demanded_switch is False else self._demanded_switch
+        if self._demanded_levels is not None:
+            levels = self._demanded_levels
             yield from self._dialogue.put(*levels)
-            self._levels = None if self._levels is levels else self._levels
-        if self._switch is True:
-            self._asked_on = True
+            self._demanded_levels = None if self._demanded_levels is levels else self._demanded_levels
+        if self._demanded_switch is True:
+            self._expected_on = True
             yield from self._dialogue.switch(True)
-            self.supplying, self._switch = True, None if self._switch is True else self._switch
+            self.supplying = True
+            self._demanded_switch = None if self._demanded_switch is True else self._demanded_switch
 
-    def _judge(self, reading: SupplyReading) -> None:
+    def _record_reading(self, reading: SupplyReading) -> None:
         self.supplying, fault = reading.on, reading.fault
-        if reading.on is not self._asked_on and not fault:
+        if reading.on is not self._expected_on and not fault:
             fault = f"the output is {'on' if reading.on else 'off'} by itself"
         if reading.mode and reading.mode != self._mode:
             self._notices.append(f"{reading.mode}: {reading.voltage:.3f} V, {reading.current:.3f} A")
@@ -399,7 +401,7 @@ class SupplyDriver(Driver):
     """A driver whose methods are those of its `SupplyLine`; it adds what its instrument is and can."""
 
     _line: SupplyLine
-    open_s: ClassVar[float]  # that opening may take
+    open_s: ClassVar[float]  # longest time that opening may take
 
     def safe_state(self, deadline_s: float) -> Confirmation:
         """Switch off and confirm it, from any state, over a new connection if needed; never raises."""

@@ -27,7 +27,7 @@ POSITION, VOLTAGE = (132, 4), (144, 2)  # address and bytes
 PULSES_PER_TURN, VOLTS = 4096, 0.1
 MODEL, FIRMWARE = 1030, 38
 OPEN_S = 2.0
-MOST_LOST = 3  # rounds in sequence
+MOST_LOST_ROUNDS = 3  # rounds in sequence
 
 
 def crc16(data):
@@ -154,7 +154,7 @@ class Dynamixel(Driver):
                 voltage = yield from self._ask(READ, struct.pack("<HH", *VOLTAGE), VOLTAGE[1])
             except NoAnswer as error:
                 lost += 1
-                if lost == MOST_LOST:
+                if lost == MOST_LOST_ROUNDS:
                     raise NoAnswer(f"{self.name}: {error}") from None
                 continue
             lost = 0

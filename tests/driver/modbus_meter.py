@@ -21,7 +21,7 @@ EXCEPTION = 0x80  # added to the function
 EXCEPTIONS = {1: "illegal function", 2: "illegal data address", 3: "illegal data value", 4: "device failure", 6: "busy"}
 PULSE_WIDTH, VOLTAGE, CURRENT = 0x0C, 0, 6  # first registers; the first is a holding register, in ms
 OPEN_S = 2.0
-MOST_LOST = 3  # rounds in sequence
+MOST_LOST_ROUNDS = 3  # rounds in sequence
 QUANTITIES = ("bus_voltage", "bus_current")
 
 
@@ -124,7 +124,7 @@ class ModbusMeter(Driver):
                 current = yield from self._registers(INPUT, CURRENT, 4)
             except NoAnswer as error:
                 lost += 1
-                if lost == MOST_LOST:
+                if lost == MOST_LOST_ROUNDS:
                     raise NoAnswer(f"{self.name}: {error}") from None
                 continue
             lost = 0

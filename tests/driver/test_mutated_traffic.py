@@ -28,12 +28,12 @@ OF_FILES = [name for name, driver in DRIVERS.items() if hasattr(driver, "read_fi
 FEW, FEW_FILES = 1500, 40  # mutations of each driver in an ordinary run
 MANY = int(os.environ.get("LEACTL_MUTATIONS", "1000000"))
 MANY_FILES = MANY // 200
-SESSION_S, CHANGE_S, LOOKS_S = 3.0, 0.2, 0.01
+SESSION_S, CHANGE_S, POLL_S = 3.0, 0.2, 0.01
 OPENED_S = 30.0  # in which a driver has opened its device or said that it cannot
 AGE_S = 2.0  # of a reading at most: how fresh one is, `leactl driver check` tries
 NOTED_S = 1.1  # within which a driver says what it noticed; most say one line a second
 HANGS_S = 120  # by the wall clock, of a session that takes milliseconds
-ATTEMPTS = 3  # at what was told; then the wire is whole again
+MOST_ATTEMPTS = 3  # at what was told; then the wire is whole again
 
 
 class Session:
@@ -91,7 +91,7 @@ class Session:
             if isinstance(driver, MotionDevice):
                 self._cycle(now)
             self._take()
-            stand.clock.sleep_until(now + (PERIOD_S if isinstance(driver, MotionDevice) else LOOKS_S))
+            stand.clock.sleep_until(now + (PERIOD_S if isinstance(driver, MotionDevice) else POLL_S))
 
     def _change(self, rng):
         machine, driver = self.stand.machine, self.stand.driver
@@ -162,8 +162,8 @@ class Session:
     def _end(self):
         """It becomes safe, says so truly and never raises; over a whole wire it is off."""
         stand = self.stand
-        for attempt in range(ATTEMPTS):
-            self.damage.on = attempt < ATTEMPTS - 1
+        for attempt in range(MOST_ATTEMPTS):
+            self.damage.on = attempt < MOST_ATTEMPTS - 1
             began = stand.clock.now()
             confirmation = stand.driver.safe_state(SAFE_STATE_S)
             if (took := stand.clock.now() - began) > SAFE_STATE_S + 0.05:

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 PHASES = 3
 NODES = 3  # winding as a whole, housing, fixture
 MOST_TRANSITIONS = 256
-ROUNDING_S = 1e-6  # of a sum of many steps
+ROUNDING_S = 1e-6  # rounding error of a sum of many steps
 
 
 def turning_squares(square: Array, start: Array, end: Array) -> Array:

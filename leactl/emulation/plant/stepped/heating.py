@@ -8,7 +8,7 @@ import numpy as np
 from leactl.emulation.plant.stepped.lanes import Array, Lane, bind, column, in_groups
 from leactl.emulation.plant.stepped.thermal import ThermalLanes
 
-SAMPLE = 1.0  # s
+SAMPLE_S = 1.0
 SUBSTEPS = 5  # of 0.2 s: Heun's error is then below 2e-4 of the winding's 6 s
 
 
@@ -47,10 +47,10 @@ def _heat(lanes: Sequence[Lane], currents: Sequence[Array]) -> list[HeatedRun]:
             value[group.lanes] *= group.effect.resistance_share(thermal.winding[group.lanes], time)
         return value
 
-    step = SAMPLE / SUBSTEPS
+    step = SAMPLE_S / SUBSTEPS
     for row in range(longest):
         current = program[row]
-        time = row * SAMPLE
+        time = row * SAMPLE_S
         voltage[row], camera[row] = 2.0 * resistance(time) * current, thermal.camera()
         for part in range(SUBSTEPS):
             now = time + part * step
