@@ -26,8 +26,8 @@ from leactl.gap.servo.effect_sets import fit_effect_sets
 from leactl.gap.servo.runs import runs_at_common_rate
 from leactl.gap.setup import SetUpFault, mended
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.rig import DRIVES, VOLTAGE, Array
-from leactl.gap.signals.setpoints import marked, setpoint_notes
+from leactl.gap.signals.rig import DRIVE_CHANNELS, VOLTAGE_KIND, Array
+from leactl.gap.signals.setpoints import mark_setpoints, setpoint_notes
 from leactl.gap.signals.stamps import stamp_notes, stamped
 from leactl.gap.verdict.decision import LISTED, NAMED, UNKNOWN, verdict_of
 from leactl.gap.verdict.judge import (
@@ -143,7 +143,7 @@ def alike(record: Record, courses: list[Array]) -> int:
     """
     clock = record.fast
     volts = clock.get("q_axis_voltage") if clock is not None else None
-    if clock is None or volts is None or any(clock.get(name) is not None for name in DRIVES):
+    if clock is None or volts is None or any(clock.get(name) is not None for name in DRIVE_CHANNELS):
         return -1
     course = np.interp(np.linspace(0.0, len(volts) - 1.0, COURSE), np.arange(len(volts)), volts)
     course /= max(float(np.linalg.norm(course)), np.finfo(np.float64).tiny)
@@ -219,7 +219,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     InputError : the runs hold nothing that any equation of the model can be checked with.
     """
     progress("reading equations")
-    case = case.of_records(marked([*case.fitted, *case.held_out], case.model))
+    case = case.of_records(mark_setpoints([*case.fitted, *case.held_out], case.model))
     evidence = Evidence(case.fitted, case.model)
     if not evidence.stack.rows:
         raise InputError(
@@ -438,7 +438,7 @@ def outweighed(
         rows.equation
         for rows in evidence.stack.rows
         if rows.equation == "lock"
-        or (rows.kind == VOLTAGE and rows.equation == "velocity" and not touched(rows, result.hypothesis))
+        or (rows.kind == VOLTAGE_KIND and rows.equation == "velocity" and not touched(rows, result.hypothesis))
     }
     judged_unrest = {key: ratio for key, ratio in unrest_by_channel.items() if key[0] not in equations_ignored}
     judged_lines = {key: line for key, line in lines.items() if key[0] not in equations_ignored}
@@ -565,7 +565,7 @@ def causes_of(evidence: Evidence, result: EffectSet, judged: Sequence[Judged]) -
 
 def of_a_reading(evidence: Evidence, candidate: Candidate) -> bool:
     """Return whether an effect acts on the velocity that a controller estimates, and on no balance of the motor."""
-    balances = [rows for rows in evidence.stack.rows if rows.kind == VOLTAGE and rows.equation != "velocity"]
+    balances = [rows for rows in evidence.stack.rows if rows.kind == VOLTAGE_KIND and rows.equation != "velocity"]
     return bool(balances) and not any(touched(rows, [candidate]) for rows in balances)
 
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.signal import correlate, correlation_lags
 
 from leactl.errors import InputError
-from leactl.gap.signals.record import REACH, bridging_interval, near, pace
+from leactl.gap.signals.record import INTERPOLATION_REACH, bridging_interval, median_interval, near_stamps
 from leactl.runfile.read.reader import Channel, Run
 from leactl.runfile.verify.integrity import refuse_altered
 
@@ -66,7 +66,9 @@ def distance(first: Channel, second: Channel) -> Distance | None:
         return None
     stamps = second.time[valid]
     inside = first_valid & (first.time >= stamps[0]) & (first.time <= stamps[-1])
-    inside &= near(first.time, stamps, REACH * max(bridging_interval(stamps), pace(first.time)))
+    inside &= near_stamps(
+        first.time, stamps, INTERPOLATION_REACH * max(bridging_interval(stamps), median_interval(first.time))
+    )
     if inside.sum() < FEWEST:
         return None
     time, first_values = first.time[inside], first.values[inside]

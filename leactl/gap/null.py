@@ -48,10 +48,10 @@ from leactl.gap.search.parameters import (
 from leactl.gap.search.regression import Candidate, Fit
 from leactl.gap.search.ringing import ringing
 from leactl.gap.signals.derived import moved_by_a_servo
-from leactl.gap.signals.noise import coloured, quantum_of
+from leactl.gap.signals.noise import coloured_noise, quantum_of
 from leactl.gap.signals.record import WINDING, Clocked, Key, Record
-from leactl.gap.signals.rig import fed_by_voltage
-from leactl.gap.signals.smoothing import BASE, smooth
+from leactl.gap.signals.rig import voltage_feed
+from leactl.gap.signals.smoothing import BASE_WIDTH, smooth
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
@@ -361,7 +361,7 @@ def driven(record: Record) -> Record:
     fast, slow = record.fast, record.slow
     if fast is not None:
         drives = "q_axis_current" if ("q_axis_current", "test") in fast.values else "q_axis_voltage"
-        fast = replace(fast, values=evened(fast.values, drives, BASE))
+        fast = replace(fast, values=evened(fast.values, drives, BASE_WIDTH))
     if slow is not None:
         fed = smooth(slow.fed, SLOW_WIDTH) if slow.fed is not None else None
         slow = replace(slow, values=evened(slow.values, "_temperature", SLOW_WIDTH), fed=fed)
@@ -409,7 +409,7 @@ def asked_for(job: Job, pull: Array) -> dict[Key, Array]:
     """Return what is added to the measured references so that the drive makes the tracking torque `pull`."""
     constant = job.plant.model.torque_constant or 1.0
     total = (len(job.clock.time) - 1) * job.parts + 1
-    if (supply := fed_by_voltage(job.record, job.plant.model)) is not None:
+    if (supply := voltage_feed(job.record, job.plant.model)) is not None:
         pull_at_samples = over_samples(0.5 * (pull[1:total] + pull[: total - 1]), job.parts)
         return {("q_axis_voltage", "test"): pull_at_samples / supply.gain}
     if job.current is None:
@@ -465,5 +465,5 @@ def with_noise(simulated: Array, measured: Array, random: np.random.Generator) -
     """Return a simulated channel with noise of the measured one's size and colour, rounded to the same quantum."""
     filled = np.where(np.isfinite(simulated), simulated, measured)
     quantum = quantum_of(measured) or quantum_of(np.diff(measured))  # a fast channel may take every level only once
-    noisy = filled + coloured(measured, quantum, random)
+    noisy = filled + coloured_noise(measured, quantum, random)
     return np.asarray(np.round(noisy / quantum) * quantum if quantum > 0.0 else noisy, np.float64)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from leactl.gap.diagnose import Case
-from leactl.gap.signals.record import build
+from leactl.gap.signals.record import build_record
 from leactl.runfile.read.reader import Channel
 
 RATE = 200.0  # Hz
@@ -60,7 +60,7 @@ def recorded(folder, arm, test, random, most=2.4, span=3.6, start=-1.6):
         channel("angle", angles + arm.noise * random.standard_normal(count), "rad"),
         channel("velocity", speeds + 10.0 * arm.noise * random.standard_normal(count), "rad/s"),
     ]
-    return build(folder / f"{test}.h5", test, "free", channels, {})
+    return build_record(folder / f"{test}.h5", test, "free", channels, {})
 
 
 def logs(folder, arm, seed=1, **changes):

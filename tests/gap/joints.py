@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from leactl.gap.diagnose import Case
-from leactl.gap.signals.record import build
+from leactl.gap.signals.record import build_record
 from leactl.model.nominal import Model
 from leactl.runfile.read.reader import Channel
 
@@ -105,7 +105,7 @@ def case(joint, log, random, effect=SOUND):
     kinds = ("multisine", "levels", "ramp")
     runs = [(kind, again) for again in "ab" for kind in kinds]
     records = [
-        build(Path(f"{kind}-{again}.h5"), kind, "free", channels(joint, log, kind, random, effect), {})
+        build_record(Path(f"{kind}-{again}.h5"), kind, "free", channels(joint, log, kind, random, effect), {})
         for kind, again in runs
     ]
     return Case(joint.model(random), records[:3], records[3:])

@@ -10,7 +10,7 @@ import numpy as np
 
 from leactl.gap.diagnose import Case, split
 from leactl.gap.replay.long_runs import read_records
-from leactl.gap.signals.record import build
+from leactl.gap.signals.record import build_record
 from leactl.model.nominal import BenchModel, Model
 from leactl.runfile import layout
 from tests.gap import joints
@@ -57,7 +57,7 @@ def drawn_rig(seed, folder):
             write(path, str(kind), str(mechanical), spoilt)
             written.append(path)
         else:
-            records.append(build(path, str(kind), str(mechanical), spoilt, {}))
+            records.append(build_record(path, str(kind), str(mechanical), spoilt, {}))
     records += [record for several in read_records(written, BenchModel()).values() for record in several]
     fitted, held_out = split(records)
     return Case(poor_model(joint, mechanical, random), fitted, held_out)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from leactl.gap.diagnose import Case
-from leactl.gap.signals.record import build
+from leactl.gap.signals.record import build_record
 from leactl.model.nominal import Model
 from leactl.runfile.read.reader import Channel
 
@@ -155,7 +155,7 @@ def case(servo, random, volts=True, thin=1, kinds=KINDS, again=2):
             Channel(time[kept], values[kept], name, "test", units, "servo", "", "", "", "loop")
             for name, values, units in parts
         ]
-        records.append(build(Path(f"{kind}-{turn}.h5"), kind, "free", channels, {}))
+        records.append(build_record(Path(f"{kind}-{turn}.h5"), kind, "free", channels, {}))
     held = len(kinds)
     return Case(model, records[:-held], records[-held:])
 

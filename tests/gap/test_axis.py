@@ -9,8 +9,8 @@ from leactl.errors import InputError
 from leactl.gap.equations import equations
 from leactl.gap.servo.runs import servo_runs
 from leactl.gap.servo.simulation import replay
-from leactl.gap.signals.record import build
-from leactl.gap.signals.rig import creep_sense
+from leactl.gap.signals.record import build_record
+from leactl.gap.signals.rig import creep_direction
 from leactl.model.nominal import Model
 from leactl.runfile.read.reader import Channel
 
@@ -33,7 +33,7 @@ def channel(time, quantity, values, units="1", role="test"):
 
 
 def recorded(tmp_path, channels, setup=None, name="a"):
-    return build(tmp_path / f"{name}.h5", "free", "free", channels, setup or {})
+    return build_record(tmp_path / f"{name}.h5", "free", "free", channels, setup or {})
 
 
 def servo_model(**changes):
@@ -148,6 +148,6 @@ def test_a_rotor_that_creeps_from_hold_to_hold_shows_cogging(tmp_path):
 
 def test_the_sense_of_a_creep_is_that_of_its_last_real_move():
     angle = np.concatenate([np.arange(200.0), np.arange(200.0, 0.0, -1.0)])
-    sense = creep_sense(angle + np.tile([0.0, 2.0], 200), 10.0)
+    sense = creep_direction(angle + np.tile([0.0, 2.0], 200), 10.0)
     assert np.all(sense[30:195] > 0.7)
     assert np.all(sense[240:] < -0.7)

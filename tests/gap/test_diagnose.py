@@ -13,7 +13,7 @@ from leactl.errors import InputError
 from leactl.gap.diagnose import Case, diagnose, read_case, split
 from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.ringing import ringing
-from leactl.gap.signals.record import build
+from leactl.gap.signals.record import build_record
 from leactl.gap.verdict.notes import gathered
 from leactl.runfile.read.reader import Channel
 from leactl.vocabulary.effect import effect_definition
@@ -224,7 +224,7 @@ def test_what_is_noted_of_several_runs_alike_is_said_once_and_what_may_rest_is_n
         channel("velocity_reference", absent),
         channel("q_axis_voltage", absent),
     ]
-    records = [build(Path(f"{name}.h5"), "spin", "free", channels, {}) for name in ("a", "b", "c", "a")]
+    records = [build_record(Path(f"{name}.h5"), "spin", "free", channels, {}) for name in ("a", "b", "c", "a")]
     assert gathered(records) == (
         "a.h5 and 2 more: bus_voltage of test never changes; is the channel alive?",
         "a.h5 and 2 more: q_axis_voltage of test has 0 samples; left out",
@@ -234,7 +234,7 @@ def test_what_is_noted_of_several_runs_alike_is_said_once_and_what_may_rest_is_n
 def test_where_no_kind_of_run_occurs_twice_stretches_are_held_out():
     def run(name, **setup):
         channels = [channel("angle", np.arange(200) * 0.01), channel("q_axis_current", np.arange(200) * 0.02)]
-        return build(Path(f"{name}.h5"), "spin", "free", channels, setup)
+        return build_record(Path(f"{name}.h5"), "spin", "free", channels, setup)
 
     kept, taken = split([run("a", drive_gain=1.0), run("b", drive_gain=2.0)])
     assert [record.name for record in kept] == [record.name for record in taken] == ["a", "b"]

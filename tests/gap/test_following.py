@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from leactl.gap.signals.derived import following
+from leactl.gap.signals.derived import fitted_temperatures
 from leactl.model.motor_schema import Thermal
 from leactl.model.thermal_network import ThermalNetwork
 
@@ -27,7 +27,7 @@ def everything(values):
 
 def test_a_network_of_other_parameters_is_followed_and_its_noise_is_not(measured):
     noisy = measured + np.random.default_rng(3).normal(0.0, 0.15, measured.shape)
-    found = following(NOMINAL, 1.0, HEAT, AMBIENT, noisy, everything(noisy))
+    found = fitted_temperatures(NOMINAL, 1.0, HEAT, AMBIENT, noisy, everything(noisy))
     assert np.sqrt(np.mean((found - measured) ** 2)) < 0.03
 
 
@@ -35,11 +35,11 @@ def test_samples_that_were_not_measured_do_not_count(measured):
     valid = everything(measured)
     valid[:, 400:500] = False
     spoilt = np.where(valid, measured, 90.0)
-    whole, part = (following(NOMINAL, 1.0, HEAT, AMBIENT, values, valid) for values in (measured, spoilt))
+    whole, part = (fitted_temperatures(NOMINAL, 1.0, HEAT, AMBIENT, values, valid) for values in (measured, spoilt))
     np.testing.assert_allclose(part, whole)
 
 
 @pytest.mark.parametrize("share", [0.0, 1e-3, -1.0])
 def test_a_heat_that_cannot_be_ends_in_finite_temperatures(measured, share):
-    found = following(NOMINAL, 1.0, share * HEAT, AMBIENT, measured, everything(measured))
+    found = fitted_temperatures(NOMINAL, 1.0, share * HEAT, AMBIENT, measured, everything(measured))
     assert np.isfinite(found).all()

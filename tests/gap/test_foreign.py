@@ -17,7 +17,7 @@ from leactl.gap.servo.effect_sets import fit_effect_sets
 from leactl.gap.servo.runs import servo_runs
 from leactl.gap.servo.simulation import replay, table
 from leactl.gap.signals.record import read_record
-from leactl.gap.signals.smoothing import thinned
+from leactl.gap.signals.smoothing import smoothed_and_thinned
 from leactl.model.nominal import read_model
 from leactl.runfile.importing.importer import import_runs
 from leactl.runfile.read.reader import Run
@@ -87,8 +87,8 @@ def test_emps_is_diagnosed_with_its_offset_as_one_class(tmp_path):
     changes = relative | {"offset": offset.value}
     force = equation.left_over + sum(equation.calibration.values())
     left = equation.left_over - sum(change * columns[name] for name, change in changes.items())
-    table = thinned(np.stack([left, force], axis=1), equation.width, equation.step)
-    moving = thinned(equation.mask.astype(float), equation.width, equation.step) > 0.999
+    table = smoothed_and_thinned(np.stack([left, force], axis=1), equation.width, equation.step)
+    moving = smoothed_and_thinned(equation.mask.astype(float), equation.width, equation.step) > 0.999
     assert np.linalg.norm(table[moving, 0]) <= 0.040 * np.linalg.norm(table[moving, 1])
 
 

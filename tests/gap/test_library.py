@@ -14,7 +14,7 @@ from leactl.effects.joint_elasticity import HIGHEST
 from leactl.effects.plant import Plant
 from leactl.gap.search.effect_sets import SHAPE
 from leactl.gap.search.parameters import propagated
-from leactl.gap.signals.effect_variables import OF_SIGNALS
+from leactl.gap.signals.effect_variables import VARIABLE_FUNCTIONS
 from leactl.model.nominal import DriveModel, Model
 from leactl.vocabulary.effect import EffectDefinition, effect_definition, effect_names, effects_on
 from leactl.vocabulary.variable import VARIABLES
@@ -115,11 +115,11 @@ def test_a_run_that_shows_an_effect_shows_a_variable_that_it_acts_in(name):
     effect = library()[name]
     shown = [s for s in CASES if effect.terms(s, (effect.forms or ((6.0,),))[0])]
     assert shown
-    assert any(OF_SIGNALS[variable](s) is not None for s in shown for variable in variables)
+    assert any(VARIABLE_FUNCTIONS[variable](s) is not None for s in shown for variable in variables)
 
 
 def test_every_variable_comes_from_signals():
-    assert set(OF_SIGNALS) == set(VARIABLES)
+    assert set(VARIABLE_FUNCTIONS) == set(VARIABLES)
 
 
 def test_a_definition_says_which_size_is_worth_knowing_on_a_machine_of_any_size():

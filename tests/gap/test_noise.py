@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from leactl.gap.signals.noise import coloured, noise_of, quantum_of
+from leactl.gap.signals.noise import coloured_noise, noise_of, quantum_of
 
 COUNT = 20_000
 
 
 def drawn_again(values, quantum=0.0):
-    return coloured(values, quantum, np.random.default_rng(1))
+    return coloured_noise(values, quantum, np.random.default_rng(1))
 
 
 @settings(max_examples=20, deadline=None)

@@ -19,7 +19,7 @@ from leactl.gap.search.effect_regression import MISSED, NEGLIGIBLE, PRIORS, Evid
 from leactl.gap.search.effect_sets import ENTRY, FurtherEffect
 from leactl.gap.search.parameters import calibrated, nominal_value
 from leactl.gap.search.stamp_fit import LATE_STD, LATEST
-from leactl.gap.signals.derived import resolved, unseen
+from leactl.gap.signals.derived import hidden_step_samples, resolved_samples
 from leactl.gap.signals.noise import SEGMENT, quantum_of
 from leactl.gap.signals.scales import worth_knowing
 from leactl.gap.signals.voltage_ceiling import at_ceiling
@@ -255,7 +255,7 @@ def moving(jump):
 
 
 def test_a_motion_with_a_knee_between_two_samples_is_not_resolved_there():
-    smooth, knee = resolved(moving(0.0), COUNT), resolved(moving(10.0), COUNT)
+    smooth, knee = resolved_samples(moving(0.0), COUNT), resolved_samples(moving(10.0), COUNT)
     assert smooth.all()
     assert not knee[2000]
     assert knee[:1980].all()
@@ -263,20 +263,20 @@ def test_a_motion_with_a_knee_between_two_samples_is_not_resolved_there():
 
 
 def test_an_encoder_without_counts_is_taken_at_its_word():
-    assert resolved(moving(10.0), 0.0).all()
+    assert resolved_samples(moving(10.0), 0.0).all()
 
 
 def test_what_happens_around_a_switched_drive_is_unseen():
     enabled = (np.arange(100) >= 40).astype(float)
     clock = clocked(100, 1e-3, {("q_axis_current", "test"): 1.0, ("drive_enabled", "test"): enabled})
-    assert np.flatnonzero(unseen(clock, model().bench)).tolist() == [39, 40]
+    assert np.flatnonzero(hidden_step_samples(clock, model().bench)).tolist() == [39, 40]
 
 
 @pytest.mark.parametrize(("interval", "hidden"), [(1e-3, True), (1e-4, False)])
 def test_a_servos_steps_are_unseen_where_its_current_settles_within_a_sample(interval, hidden):
     target = np.repeat([0.0, 1.0], 50)
     clock = clocked(100, interval, {("q_axis_current", "test"): 1.0, ("velocity_reference", "test"): target})
-    assert unseen(clock, model(bench={"current_loop_bandwidth": 600.0}).bench).any() == hidden
+    assert hidden_step_samples(clock, model(bench={"current_loop_bandwidth": 600.0}).bench).any() == hidden
 
 
 @pytest.mark.parametrize(("reference", "there"), [(1.0, False), (100.0, True)])

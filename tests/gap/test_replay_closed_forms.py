@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from leactl.gap.replay import replay
 from leactl.gap.replay.cutting import CutJob
-from leactl.gap.signals.record import LONG, Record
+from leactl.gap.signals.record import LONG_GAP, Record
 from tests.gap.synthetic import (
     BENCH,
     CONSTANT,
@@ -284,7 +284,7 @@ def test_where_a_run_has_no_reference_its_measured_current_drives_the_replay(gap
     speed = (CONSTANT * driven - FRICTION) / DAMPING
     before = job.fast["velocity", "test"][99 + gap]
     told = np.isnan(job.fast["q_axis_current", "test"][100 : 100 + gap])
-    if gap > LONG:
+    if gap > LONG_GAP:
         assert before == pytest.approx(speed, rel=0.05)
         assert told.all()
     else:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from leactl.gap.diagnose import diagnose
-from leactl.gap.signals.record import LONG, SMOOTHED, without_edges
+from leactl.gap.signals.record import LONG_GAP, SMOOTHING_REACH, without_edges
 from leactl.model.nominal import Model
 from tests.gap.joints import Log, case, drawn_joint
 
@@ -31,8 +31,8 @@ def test_a_dead_channel_is_the_answer_and_divides_nothing_by_zero():
 
 def test_samples_beside_a_long_gap_are_left_out_and_those_beside_a_short_one_stay():
     valid = np.ones(200, bool)
-    valid[50 : 50 + LONG] = valid[120 : 119 + LONG] = False
+    valid[50 : 50 + LONG_GAP] = valid[120 : 119 + LONG_GAP] = False
     kept = without_edges(valid)
-    assert not kept[50 - SMOOTHED : 50 + LONG + SMOOTHED].any()
-    assert kept[50 - SMOOTHED - 1] and kept[50 + LONG + SMOOTHED]
-    assert kept[119] and kept[119 + LONG]
+    assert not kept[50 - SMOOTHING_REACH : 50 + LONG_GAP + SMOOTHING_REACH].any()
+    assert kept[50 - SMOOTHING_REACH - 1] and kept[50 + LONG_GAP + SMOOTHING_REACH]
+    assert kept[119] and kept[119 + LONG_GAP]

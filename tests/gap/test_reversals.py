@@ -5,7 +5,7 @@ import pytest
 
 from leactl.gap.equations import equations
 from leactl.gap.equations.contract import usable
-from leactl.gap.signals.smoothing import REACH, thinned_index
+from leactl.gap.signals.smoothing import KERNEL_REACH, thinned_rows
 from tests.gap.synthetic import INTERVAL_S, model, record
 
 COUNT = 2.0 * np.pi / 16384
@@ -19,8 +19,8 @@ def rows_over(angle):
     built = {one.name: one for one in equations(run, model())}
     balance, reversal = built["free_torque"], built["reversal_torque"]
     assert (balance.width, balance.step) == (reversal.width, reversal.step)
-    index = thinned_index(len(balance.left_over), balance.width, balance.step)
-    return index[usable(balance)], index[usable(reversal)], int(REACH * balance.width)
+    index = thinned_rows(len(balance.left_over), balance.width, balance.step)
+    return index[usable(balance)], index[usable(reversal)], int(KERNEL_REACH * balance.width)
 
 
 def going(*speeds):

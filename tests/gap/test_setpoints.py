@@ -9,15 +9,15 @@ import pytest
 from leactl.gap.diagnose import diagnose
 from leactl.gap.signals import setpoints
 from leactl.gap.signals.setpoints import (
-    MISSED,
+    LEAST_MISS_STDS,
     ReferenceFollowing,
-    against_next,
     changes_between,
     follow,
     holds,
     leaps,
-    marked,
-    share_of_next,
+    mark_setpoints,
+    stds_against_next_row,
+    weight_of_next_row,
 )
 from leactl.gap.signals.stamps import TAPS, neighbour
 from leactl.joints.make import draw_machines, draw_runs
@@ -52,7 +52,7 @@ def joint_case(seed, effect=joints.SOUND, times_thinned=0):
 
 
 def changes_setpoints_between_rows(drawn):
-    runs = marked([*drawn.fitted, *drawn.held_out], drawn.model)
+    runs = mark_setpoints([*drawn.fitted, *drawn.held_out], drawn.model)
     found = {record.fast.setpoints_between for record in runs}
     assert len(found) == 1, "all runs are of one log"
     return found.pop()
@@ -89,7 +89,7 @@ def test_rows_hold_their_setpoint_where_one_swift_rate_meets_every_leap(seed, ro
     limited = limited_joint(seed, rows)
     for _ in range(times_thinned):
         limited = thinned(limited)
-    runs = marked([*limited.fitted, *limited.held_out], limited.model)
+    runs = mark_setpoints([*limited.fitted, *limited.held_out], limited.model)
     assert {record.fast.setpoints_held for record in runs} == {rows == 1 and times_thinned == 0}, (
         "a ramp of many rows meets its leap whenever it begins"
     )
@@ -138,7 +138,7 @@ def test_a_log_of_which_one_run_misses_a_leap_holds_no_setpoint(monkeypatch):
         for record, one in zip(records, (0.0 * missed, missed), strict=True)
     }
     monkeypatch.setattr(setpoints, "follow", lambda record, *at_a_rate: shown[record.name])
-    assert [record.fast.setpoints_held for record in marked(records, None)] == [False, False]
+    assert [record.fast.setpoints_held for record in mark_setpoints(records, None)] == [False, False]
 
 
 @pytest.mark.parametrize("between", [False, True])
@@ -151,9 +151,9 @@ def test_only_a_curve_between_rows_goes_against_the_row_that_follows(between):
     rows = asked[3::4]
     taps = np.column_stack([np.ones_like(rows), rows, *(neighbour(rows, by) for by in TAPS.tolist())])[4:-4]
     current = means[4:-4] + 0.005 * random.standard_normal(len(taps))
-    shares = [share_of_next(taps[part], current[part]) for part in np.array_split(np.arange(len(taps)), 3)]
-    assert (against_next(shares) > MISSED) is between
-    assert against_next([(0.0, math.inf)]) == 0.0, "rows that tell nothing"
+    shares = [weight_of_next_row(taps[part], current[part]) for part in np.array_split(np.arange(len(taps)), 3)]
+    assert (stds_against_next_row(shares) > LEAST_MISS_STDS) is between
+    assert stds_against_next_row([(0.0, math.inf)]) == 0.0, "rows that tell nothing"
 
 
 def test_a_wave_that_its_rows_show_does_not_leap():

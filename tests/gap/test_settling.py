@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from leactl.effects import library
 from leactl.effects.plant import Plant
 from leactl.gap.signals.derived import fast_signals
-from leactl.gap.signals.setpoints import SETTLES, settling
+from leactl.gap.signals.setpoints import SETTLING_TIME_CONSTANTS, settling_rows
 from tests.gap.synthetic import clocked, model, record
 
 WIDE = {"current_loop_bandwidth": 1e5}  # Hz, of a loop that follows at once
@@ -19,8 +19,8 @@ WIDE = {"current_loop_bandwidth": 1e5}  # Hz, of a loop that follows at once
 
 @given(st.lists(st.booleans(), min_size=1, max_size=60), st.floats(0.0, 0.01))
 def test_a_row_is_settling_from_before_a_change_until_the_loop_has_forgotten_it(changing, settles):
-    found = settling(np.array(changing), settles, 1e-3)
-    after = 1 + math.ceil(SETTLES * settles / 1e-3)
+    found = settling_rows(np.array(changing), settles, 1e-3)
+    after = 1 + math.ceil(SETTLING_TIME_CONSTANTS * settles / 1e-3)
     assert found.tolist() == [any(changing[max(row - after, 0) : row + 2]) for row in range(len(changing))]
 
 

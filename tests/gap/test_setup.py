@@ -20,7 +20,7 @@ from leactl.gap.setup import (
 from leactl.gap.setup.conventions import convention
 from leactl.gap.setup.expected_channels import direct_pairs, modelled_pairs
 from leactl.gap.setup.faulty_samples import at_ends, period_of
-from leactl.gap.signals.record import Clocked, build
+from leactl.gap.signals.record import Clocked, build_record
 from leactl.joints.make import draw_machines, draw_runs
 from leactl.quantities import UNITS
 from leactl.vocabulary.variable import VARIABLES
@@ -206,7 +206,7 @@ def test_an_error_is_drawn_over_values_of_the_variable_that_the_picture_names(me
     made = channels(joint, Log(), "multisine", random)
     current = next(channel for channel in made if channel.quantity == "q_axis_current")
     voltage = replace(current, quantity="q_axis_voltage", units="V")
-    record = build(Path("a.h5"), "multisine", mechanical, [*made, voltage], {})
+    record = build_record(Path("a.h5"), "multisine", mechanical, [*made, voltage], {})
     pairs = [*direct_pairs(record, model), *modelled_pairs(record, model)]
     assert {pair.key[0] for pair in pairs} >= {"q_axis_voltage", "q_axis_current"}
     for pair in pairs:

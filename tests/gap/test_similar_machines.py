@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import Case, diagnose, split
-from leactl.gap.signals.record import build
+from leactl.gap.signals.record import build_record
 from leactl.joints.make import make
 from leactl.model.nominal import Model, as_mapping, read_model
 from leactl.runfile.read.reader import Run
@@ -70,7 +70,7 @@ def case_of(folder: Path, size=(1.0, 1.0, 1.0), divide=1):
                 for one in found
             ]
             channels = [thinned(one, divide) for one in scaled]
-            records.append(build(path, str(run.attributes["protocol"]), run.mechanical, channels, {}))
+            records.append(build_record(path, str(run.attributes["protocol"]), run.mechanical, channels, {}))
     model, _ = read_model(folder / "nominal.yaml")
     return Case(model_of_size(model, *size), *split(records))
 

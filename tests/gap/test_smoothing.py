@@ -13,14 +13,14 @@ from leactl.gap.replay.job import Job
 from leactl.gap.replay.readings import measured_speed
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.smoothing import (
-    bent_senses,
-    middle,
-    senses,
-    sharp_senses,
+    bent_mean_signs,
+    interval_means,
+    mean_signs,
+    sharp_mean_signs,
     slope,
+    smoothed_and_thinned,
     speeds,
-    thinned,
-    thinned_index,
+    thinned_rows,
 )
 from tests.gap.synthetic import clocked, model
 
@@ -44,14 +44,14 @@ def test_middle_is_the_mean_over_the_interval_before_for_cubics(coefficients):
     at = INTERVAL * np.arange(50)
     whole = np.polyint(coefficients)
     expected = (np.polyval(whole, at[1:]) - np.polyval(whole, at[:-1])) / INTERVAL
-    np.testing.assert_allclose(middle(cubic(coefficients, at))[2:-1], expected[1:-1], atol=1e-9)
+    np.testing.assert_allclose(interval_means(cubic(coefficients, at))[2:-1], expected[1:-1], atol=1e-9)
 
 
 @given(st.floats(0.5, 9), st.integers(1, 20), st.integers(120, 400))
 def test_a_thinned_ramp_is_the_ramp_at_the_samples_named(width, step, length):
     ramp = np.arange(float(length))[:, None]
-    index = thinned_index(length, width, step)
-    rows = thinned(ramp, width, step)
+    index = thinned_rows(length, width, step)
+    rows = smoothed_and_thinned(ramp, width, step)
     assert len(rows) == len(index)
     np.testing.assert_allclose(rows[:, 0], index, atol=1e-7)
 
@@ -113,7 +113,7 @@ def test_which_way_is_a_mean_over_the_interval_in_which_a_speed_turns_back(rate,
     fine = np.linspace(0.0, 19.0, 19001)
     which = np.sign(fine - turns_at)
     means = [np.mean(which[(fine > end - 1.0) & (fine <= end)]) for end in at[1:]]
-    np.testing.assert_allclose(senses(speeds)[1:], means, atol=2e-3)
+    np.testing.assert_allclose(mean_signs(speeds)[1:], means, atol=2e-3)
 
 
 def test_friction_turns_round_when_the_speed_does_and_not_when_its_smoothed_one_does():
@@ -121,8 +121,10 @@ def test_friction_turns_round_when_the_speed_does_and_not_when_its_smoothed_one_
     at = np.arange(100.0)
     turns_at = 50.4
     speed = np.where(at < turns_at, 2.0, 1.0) * (turns_at - at)  # at the ends of the intervals
-    means = middle(speed)
-    after = [np.sum(0.5 * (1.0 - sharp_senses(means, noise))) for noise in (0.01, 100.0)]  # as told, and as smoothed
+    means = interval_means(speed)
+    after = [
+        np.sum(0.5 * (1.0 - sharp_mean_signs(means, noise))) for noise in (0.01, 100.0)
+    ]  # as told, and as smoothed
     told, smoothed = np.abs(np.array(after) - (99.0 - turns_at))
     assert told < 0.3 < 0.5 < smoothed
 
@@ -130,7 +132,7 @@ def test_friction_turns_round_when_the_speed_does_and_not_when_its_smoothed_one_
 def test_a_slow_turn_keeps_the_smoothed_sense():
     random = np.random.default_rng(1)
     speeds = 0.002 * np.arange(-100.0, 100.0) + 0.05 * random.standard_normal(200)
-    assert np.all(np.diff(np.sign(sharp_senses(speeds, 0.05))) >= 0.0)
+    assert np.all(np.diff(np.sign(sharp_mean_signs(speeds, 0.05))) >= 0.0)
 
 
 @pytest.mark.parametrize("rate", [-7.0, 0.0, 12.0])
@@ -154,7 +156,7 @@ def test_where_friction_bends_a_speed_it_turns_back_where_two_lines_meet(begin, 
     fine = (np.arange(40 * parts) + 0.5) / parts
     course = way * (moment - fine) * np.where(fine < moment, slowing, ratio * slowing)
     means, true = (values.reshape(40, parts).mean(axis=1) for values in (course, np.where(fine < moment, way, -way)))
-    np.testing.assert_allclose(bent_senses(means, 0.0)[1:-2], true[1:-2], atol=0.03)
+    np.testing.assert_allclose(bent_mean_signs(means, 0.0)[1:-2], true[1:-2], atol=0.03)
 
 
 @pytest.mark.parametrize("ratio", [0.9, 0.6, 0.3])
@@ -166,6 +168,8 @@ def test_lines_through_an_encoder_s_counts_tell_a_reversal_no_worse_than_the_spe
     for moment in 20.0 + random.random(200):
         angle = np.where(ends < moment, -0.5 * slowing, -0.5 * ratio * slowing) * (ends - moment) ** 2 + random.random()
         counted = np.diff(np.round(angle))  # counts an interval
-        off.append([0.5 * np.sum(1.0 + told(counted)) - moment for told in (senses, lambda s: bent_senses(s, 1.0))])
+        off.append(
+            [0.5 * np.sum(1.0 + told(counted)) - moment for told in (mean_signs, lambda s: bent_mean_signs(s, 1.0))]
+        )
     even, bent = np.sqrt(np.mean(np.square(off), axis=0))
     assert bent <= 1.1 * even + 0.01

@@ -6,7 +6,7 @@ import pytest
 from leactl.gap.diagnose import diagnose
 from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.effect_sets import ENTRY, finding
-from leactl.gap.signals.setpoints import marked
+from leactl.gap.signals.setpoints import mark_setpoints
 from leactl.gap.signals.stamps import TAPS, lateness, neighbour, restamped
 from tests.gap.joints import Effect, Log, case, drawn_joint, drawn_log
 
@@ -68,7 +68,7 @@ def test_a_delay_within_what_stamps_may_be_enters_no_set(told, delay, least):
     random = np.random.default_rng(23)
     joint = drawn_joint(random)
     made = case(joint, Log(sampling=told), random, Effect(delay=delay))
-    evidence = Evidence(marked(made.fitted, made.model), made.model)
+    evidence = Evidence(mark_setpoints(made.fitted, made.model), made.model)
     normal, base = evidence.normal(), evidence.stack.columns_of([])
     delays = [candidate for candidate in evidence.candidates if candidate[0] == "transport_delay"]
     found = [one for candidate in delays if (one := finding(evidence, normal, base, candidate, free=True)) is not None]

@@ -23,7 +23,7 @@ from leactl.gap.search.effect_sets import BEYOND, best_of_each, member, refine
 from leactl.gap.search.parameters import calibrated, with_calibration, with_effects
 from leactl.gap.search.regression import Candidate
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.setpoints import marked
+from leactl.gap.signals.setpoints import mark_setpoints
 from leactl.gap.signals.stamps import stamped
 from leactl.gap.verdict.shrinkage import shrinkage
 from leactl.model.nominal import Model, as_mapping
@@ -120,7 +120,7 @@ def oracle(case: Case, effects: Sequence[str]) -> tuple[Model, Model, list[Recor
 
     The third value is the held-out runs, with their stamps fitted by that diagnosis.
     """
-    case = case.of_records(marked([*case.fitted, *case.held_out], case.model))
+    case = case.of_records(mark_setpoints([*case.fitted, *case.held_out], case.model))
     forms = forms_here(case.fitted, case.model)
     candidates = [(name, form) for name in effects for form in forms.get(name, []) if not library()[name].periodic]
     evidence = Evidence(case.fitted, case.model, only=candidates)

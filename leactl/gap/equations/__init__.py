@@ -8,7 +8,7 @@ from leactl.gap.equations.contract import FEWEST_ROWS, Equation, usable
 from leactl.gap.signals.decimation import decimated
 from leactl.gap.signals.derived import fast_signals, slow_signals
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.rig import VOLTAGE, complete, fed_by_voltage
+from leactl.gap.signals.rig import VOLTAGE_KIND, add_rig_signals, voltage_feed
 from leactl.model.nominal import Model
 
 __all__ = ["Equation", "equations"]
@@ -44,7 +44,7 @@ def free_rotor(record: Record, fast: Signals, slow: Signals | None) -> list[Equa
         slower = replace(record, fast=decimated(record.fast, factor))
         signals = fast_signals(slower, fast.model, slow)
         assert signals is not None
-        complete(slower, signals)
+        add_rig_signals(slower, signals)
         equation = mechanical.free(slower, signals)
         if equation is None or int(usable(equation).sum()) < FEWEST_ROWS:
             return as_logged  # too few rows are left
@@ -59,7 +59,7 @@ def equations(record: Record, model: Model) -> list[Equation]:
     slow = slow_signals(record, model)
     fast = fast_signals(record, model, slow)
     if fast is not None:
-        complete(record, fast)
+        add_rig_signals(record, fast)
         candidates = [*(build(record, fast) for build in ELECTRICAL_EQUATIONS), *free_rotor(record, fast, slow)]
         candidates += [build(record, fast) for build in MECHANICAL_EQUATIONS]
         built += [equation for equation in candidates if equation is not None]
@@ -67,9 +67,9 @@ def equations(record: Record, model: Model) -> list[Equation]:
             built = [equation for equation in built if equation.name not in FREE_ROTOR] + [axis_balance]
             note = axis.confounded(record, fast)
             record.notes += [note] if note is not None and note not in record.notes else []
-        if fed_by_voltage(record, model) is not None:
+        if voltage_feed(record, model) is not None:
             # each test of a voltage is a kind by itself: its own noise would let it fit that run and no other
-            built = [replace(equation, kind=VOLTAGE) for equation in built]
+            built = [replace(equation, kind=VOLTAGE_KIND) for equation in built]
     if slow is not None and record.slow is not None and not record.slow.aside:
         line_voltage = electrical.line_voltage(record, slow)
         built += ([line_voltage] if line_voltage is not None else []) + thermal.temperatures(record, slow)

@@ -7,7 +7,7 @@ from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import Equation, Place
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import Clocked, Record
-from leactl.gap.signals.rig import drive_of, fed_by_voltage, in_motion, load_of
+from leactl.gap.signals.rig import drive_of, load_of, moving_samples, voltage_feed
 from leactl.gap.signals.smoothing import noise_of_acceleration, slope, smooth
 from leactl.gap.signals.stamps import stamp_columns
 
@@ -50,7 +50,7 @@ def axis(record: Record, s: Signals) -> Equation | None:
         nuisance["reference_timing_s"] = (column, TIMING_SAMPLES * s.interval)
     swung, shared = load.inertia, dict[str, tuple[Array, float]]()
     torque_taken = sum(resisting.values()) + swung * s.acceleration + hanging * np.sin(tilt)
-    if (fed := fed_by_voltage(record, model)) is not None:
+    if (fed := voltage_feed(record, model)) is not None:
         damping += fed.damping
         shared = stamp_columns("axis_torque", clock, _FED, -s.extra["fed"])
         if model.feedforward is None:
@@ -61,7 +61,7 @@ def axis(record: Record, s: Signals) -> Equation | None:
             resisting = {IN_VOLTS[name]: column for name, column in resisting.items() if name in IN_VOLTS}
     places["drag"] = lambda c: c
     places["angle_reading"] = lambda c: _angle_error(c, s.interval, inertia + swung, damping)
-    mask = in_motion(s, clock.counts.get(("angle", "test"), 0.0))
+    mask = moving_samples(s, clock.counts.get(("angle", "test"), 0.0))
     mask &= clock.all_valid(*((quantity, "test") for quantity in ("angle", *_DRIVES)))
     if fed is not None:
         mask &= clock.all_valid(*_FED)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.contract import Signals
-from leactl.gap.signals.smoothing import thinned
+from leactl.gap.signals.smoothing import smoothed_and_thinned
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -51,7 +51,7 @@ class Equation:
 
 def usable(equation: Equation) -> Mask:
     """Return the rows of an equation that touch only samples of `mask`, and at least one of `around`."""
-    rows = thinned(equation.mask.astype(float), equation.width, equation.step) > 1.0 - TOUCHED
+    rows = smoothed_and_thinned(equation.mask.astype(float), equation.width, equation.step) > 1.0 - TOUCHED
     if equation.around is not None:
-        rows &= thinned(equation.around.astype(float), equation.width, equation.step) >= TOUCHED
+        rows &= smoothed_and_thinned(equation.around.astype(float), equation.width, equation.step) >= TOUCHED
     return np.asarray(rows)

@@ -9,7 +9,7 @@ from leactl.gap.equations.contract import STAMPED, Equation
 from leactl.gap.signals.derived import moved_by_a_servo
 from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.setpoints import BENT, bend, settling, unknown_between
+from leactl.gap.signals.setpoints import BEND_SHARE, bend, rows_with_unknown_setpoints, settling_rows
 from leactl.gap.signals.smoothing import slope, smooth
 from leactl.gap.signals.stamps import BETWEEN_SAMPLES, TAPS, neighbour, stamp_columns
 from leactl.gap.signals.voltage_ceiling import at_ceiling
@@ -111,7 +111,7 @@ def current(record: Record, s: Signals) -> Equation | None:
     nuisance = {"current_stamp_s": (-change, STAMPED * s.interval)}
     if moved_by_a_servo(clock):
         swift = np.abs(np.diff(s.following, prepend=s.following[0])) > SWIFT * noise_of(measured)
-        mask &= ~settling(swift, settles, s.interval)
+        mask &= ~settling_rows(swift, settles, s.interval)
     channels = [(f"q_axis_current{suffix}", "test") for suffix in ("", "_reference")]
     on_time = not any(channel in clock.unstamped for channel in channels)  # else stamps are late by more than this
     if moved_by_a_servo(clock) or (on_time and not clock.setpoints_held):
@@ -124,10 +124,10 @@ def current(record: Record, s: Signals) -> Equation | None:
     if clock.setpoints_between and not moved_by_a_servo(clock):
         earlier = neighbour(s.following, -1) - s.following
         bends = bend(s.following)
-        following = s.following + BEFORE * earlier - BENT * bends
-        shared |= {"setpoint_before": (earlier, BEFORE), "setpoint_bend": (bends, BENT)}
+        following = s.following + BEFORE * earlier - BEND_SHARE * bends
+        shared |= {"setpoint_before": (earlier, BEFORE), "setpoint_bend": (bends, BEND_SHARE)}
         reference = clock.values["q_axis_current_reference", "test"]
-        mask &= ~unknown_between(reference, noise_of(measured), settles, s.interval)
+        mask &= ~rows_with_unknown_setpoints(reference, noise_of(measured), settles, s.interval)
     return Equation(
         "current",
         "q_axis_current",

@@ -9,10 +9,18 @@ import numpy.typing as npt
 from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import MEMORY, STAMPED, Equation, Mask, Place
 from leactl.gap.equations.motion import load_lag
-from leactl.gap.signals.derived import averaged, held
+from leactl.gap.signals.derived import channel_means, locked_rotor_torque
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import Clocked, Record
-from leactl.gap.signals.smoothing import BASE, REACH, middle, noise_of_acceleration, sharp_senses, slope, smooth
+from leactl.gap.signals.smoothing import (
+    BASE_WIDTH,
+    KERNEL_REACH,
+    interval_means,
+    noise_of_acceleration,
+    sharp_mean_signs,
+    slope,
+    smooth,
+)
 from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
@@ -43,7 +51,7 @@ def resting(s: Signals, velocity: Array) -> Mask:
     At rest friction equals the driving torque, and is unknown. A stretch is no quick reversal where the shaft continues
     in the same direction, where it is longer than the smoothing reaches, and at either end of a run.
     """
-    slow_samples, rests, reach = slow(s, velocity), np.zeros(len(velocity)), REACH * BASE
+    slow_samples, rests, reach = slow(s, velocity), np.zeros(len(velocity)), KERNEL_REACH * BASE_WIDTH
     edges = np.flatnonzero(np.diff(slow_samples.astype(np.int8), prepend=0, append=0))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         turns_back = begin > 0 and end < len(slow_samples) and velocity[begin - 1] * velocity[end] < 0.0
@@ -198,20 +206,20 @@ def both(record: Record, s: Signals) -> Equation | None:
     clock = record.fast
     if s.mechanical != "coupled" or clock is None or s.velocity is None:
         return None
-    parts, load_current = rotor(s), averaged(clock, "q_axis_current", "load")
+    parts, load_current = rotor(s), channel_means(clock, "q_axis_current", "load")
     load_velocity = clock.get("velocity", "load")
     if parts is None or load_current is None or load_velocity is None:
         return None
     model = s.model
     drive, calibration, places = parts
     constant = model.torque_constant or 0.0
-    measured = smooth(middle(load_velocity))
+    measured = smooth(interval_means(load_velocity))
     acceleration = slope(measured, s.interval)
     load_drive = constant * smooth(load_current)
     inertia = (model.rotor_inertia or 0.0) * acceleration
     viscous, coulomb = model.load.frictions(model.viscous_damping, model.coulomb_friction)
     damping = viscous * measured
-    friction = coulomb * smooth(sharp_senses(middle(load_velocity), noise_of(load_velocity)))
+    friction = coulomb * smooth(sharp_mean_signs(interval_means(load_velocity), noise_of(load_velocity)))
     resisted = sum(c for name, c in calibration.items() if name != "torque_constant")
     left_over = drive + load_drive - resisted - inertia - damping - friction
     calibration = dict(calibration)
@@ -284,7 +292,7 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
 def carried(s: Signals, torque: Array, constant: float) -> tuple[Array, dict[str, Place]]:
     """Return the derivative of a locked rotor's torque with the relative torque constant, and the places of effects."""
     assert s.current is not None
-    drive, relative_change = constant * s.current, (held(s, 1.02, 1.0) - torque) / 0.02
+    drive, relative_change = constant * s.current, (locked_rotor_torque(s, 1.02, 1.0) - torque) / 0.02
     sliding = np.where(np.abs(drive) > 1e-9, relative_change / np.where(np.abs(drive) > 1e-9, drive, 1.0), 0.0)
     return relative_change, {
         "torque_factor": lambda c: relative_change * c,
@@ -295,7 +303,7 @@ def carried(s: Signals, torque: Array, constant: float) -> tuple[Array, dict[str
 
 def sticking(s: Signals, torque: Array) -> Array:
     """Return the derivative of a locked rotor's torque with the relative Coulomb friction."""
-    return (held(s, 1.0, 1.05) - torque) / 0.05
+    return (locked_rotor_torque(s, 1.0, 1.05) - torque) / 0.05
 
 
 def rotor(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None:
@@ -328,7 +336,7 @@ def rotor(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None
 
 def torque_reading(clock: Clocked, s: Signals, inertia_per_stiffness: float) -> Array | None:
     """Return the torque channel with its own filter inverted, and the inertial torque of a locked rotor added."""
-    values = averaged(clock, "torque")
+    values = channel_means(clock, "torque")
     if values is None:
         return None
     reading = smooth(values)

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import STAMPED, Equation
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.smoothing import BASE, middle, slope, smooth
+from leactl.gap.signals.smoothing import BASE_WIDTH, interval_means, slope, smooth
 from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
@@ -29,7 +29,7 @@ def velocity(record: Record, s: Signals) -> Equation | None:
         "velocity",
         "test",
         "rad/s",
-        restored(middle(measured), filter_constant(s), s.interval) - s.velocity,
+        restored(interval_means(measured), filter_constant(s), s.interval) - s.velocity,
         s,
         clock.all_valid(*keys) & s.unleapt & s.resolved,
         {"velocity_reading": lambda c: c},
@@ -44,7 +44,7 @@ def velocity(record: Record, s: Signals) -> Equation | None:
 
 def rounded_speed(s: Signals) -> float:
     """Return the standard deviation [rad/s] of a row of speed due to the counts of the encoder."""
-    spread = math.hypot(BASE, VELOCITY_WIDTH)
+    spread = math.hypot(BASE_WIDTH, VELOCITY_WIDTH)
     return s.count / math.sqrt(12.0) / s.interval * math.sqrt(1.0 / (4.0 * math.sqrt(math.pi) * spread**3))
 
 

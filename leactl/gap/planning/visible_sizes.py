@@ -18,7 +18,7 @@ from leactl.gap.search.effect_regression import Evidence, every_form, forms_here
 from leactl.gap.search.effect_sets import ENTRY, SHAPE, WAVE
 from leactl.gap.search.regression import Candidate, Normal
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.setpoints import marked
+from leactl.gap.signals.setpoints import mark_setpoints
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 
@@ -62,7 +62,7 @@ def evidence_of(records: Sequence[Record], model: Model) -> Evidence:
     The sound machine's sizes of effects are not used: they depend on which runs are combined. Whether setpoints hold
     over their interval is read from the runs, as in a diagnosis.
     """
-    records = marked(records, model)
+    records = mark_setpoints(records, model)
     evidence = Evidence(records, model, only=planned_candidates(records, model))
     evidence.compare_with(measure(records, model, machines=1, only=[]))
     return evidence

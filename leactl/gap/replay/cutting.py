@@ -12,7 +12,7 @@ from leactl.gap.replay.drive import measured, spread
 from leactl.gap.replay.initial_state import reach
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.lanes import SHAFT_DAMPING, Lanes, Servo, Tracking
-from leactl.gap.signals.rig import fed_by_voltage, load_of
+from leactl.gap.signals.rig import load_of, voltage_feed
 from leactl.gap.signals.smoothing import smooth
 from leactl.gap.signals.stamps import restamped
 
@@ -151,7 +151,7 @@ def drive_torque(job: Job, magnets: Array) -> Array:
 
 def voltage_torque(job: Job) -> Array | None:
     """Return the torque of the logged voltage in a motor at rest; None where no voltage drives the run."""
-    fed = fed_by_voltage(job.record, job.plant.model)
+    fed = voltage_feed(job.record, job.plant.model)
     if fed is None:
         return None
     return fed.gain * restamped(job.clock.values["q_axis_voltage", "test"], job.clock.stamping.get("axis_torque"))
@@ -249,7 +249,7 @@ def hangs_apart(job: Job) -> bool:
 def constants_of(job: Job) -> dict[str, float]:
     """Return the constants of a bench for the stepper; a run's own set-up replaces the model's."""
     model, record = job.plant.model, job.record
-    load, supply = load_of(record, model), fed_by_voltage(record, model)
+    load, supply = load_of(record, model), voltage_feed(record, model)
     inertia = (model.rotor_inertia or 0.0) + load.inertia
     load_damping, load_friction = load.frictions(model.viscous_damping, model.coulomb_friction)
     constants = {

@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.time_steps import LATEST, samples
-from leactl.gap.signals.derived import led, moved_by_a_servo
+from leactl.gap.signals.derived import moved_by_a_servo, with_setpoint_lead
 from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.gap.signals.smoothing import smooth
 from leactl.gap.signals.stamps import restamped
@@ -25,7 +25,7 @@ def follow(job: Job) -> None:
     if clock.get("q_axis_current_reference") is not None:
         reference = asked(job) + rounding(job)
         if not moved_by_a_servo(clock):
-            reference = led(reference, plant.model.bench, job.step)
+            reference = with_setpoint_lead(reference, plant.model.bench, job.step)
         measured_current = clock.get("q_axis_current")
         # a run may begin during a transient
         begin = reference[:1] if measured_current is None else measured_current[:1]

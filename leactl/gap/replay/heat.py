@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from leactl.effects.plant import Array
 from leactl.gap.replay.job import Job
-from leactl.gap.signals.derived import binned, warming
+from leactl.gap.signals.derived import means_after_edges, winding_time_constant
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import WINDING, Clocked
 from leactl.gap.signals.smoothing import smooth
@@ -84,7 +84,7 @@ class Network:
             return resistance * self.clock.driven["current_squared"]
         assert self.job.current is not None
         squared = self.job.current[:: self.job.parts] ** 2
-        return resistance * binned(self.job.clock.time, squared, self.clock.time)
+        return resistance * means_after_edges(self.job.clock.time, squared, self.clock.time)
 
     def _fed_share(self) -> Array | float:
         """Return the ratio of the fed phases' mean resistance to that of the whole winding, from their temperatures."""
@@ -108,7 +108,7 @@ class Network:
             speed = np.gradient(angle, fast.interval)
         if speed is None:
             return np.zeros(len(self.clock.time))
-        return np.sqrt(binned(fast.time, speed**2, self.clock.time))
+        return np.sqrt(means_after_edges(fast.time, speed**2, self.clock.time))
 
     def _start(self) -> Array:
         """Temperatures at the start, from which the first samples come out as they were measured on average.
@@ -117,7 +117,9 @@ class Network:
         a heated run it starts as the housing, in any other, which may begin warm, at the temperature with which those
         of the whole run come out best.
         """
-        count = min(max(1, round(STARTS * warming(self.job.plant.model) / self.clock.interval)), MOST_AT_START)
+        count = min(
+            max(1, round(STARTS * winding_time_constant(self.job.plant.model) / self.clock.interval)), MOST_AT_START
+        )
         first = slice(0, min(count, self.count // 4) + 1)
         read = np.stack([self._first_of("winding_temperature", first), self._first_of("housing_temperature", first)])
         kept = [np.linalg.matrix_power(self.decay, step)[:2] @ NODES_FROM_START for step in range(read.shape[1])]

@@ -17,8 +17,16 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.gap.replay.time_steps import steps_in_sample
-from leactl.gap.signals.record import FEWEST, PAUSED, Clocked, Record, bridging_interval, is_slow, record_of
-from leactl.gap.signals.scales import TOP, absolute_speeds
+from leactl.gap.signals.record import (
+    FEWEST_SAMPLES,
+    MOST_DURATION_RATIO,
+    Clocked,
+    Record,
+    bridging_interval,
+    is_slow,
+    record_of,
+)
+from leactl.gap.signals.scales import TOP_QUANTILE, absolute_speeds
 from leactl.gap.signals.smoothing import smooth
 from leactl.model.nominal import BenchModel
 from leactl.quantities import ChannelSpec
@@ -92,7 +100,7 @@ def cost_of(run: Run, bench: BenchModel) -> float:
     stamps = run.values(name, "time", 0, min(rows, ROWS + 1))
     interval = bridging_interval(stamps)
     clock_rows = float(stamps[-1] - stamps[0]) / interval if rows <= ROWS else rows  # a gap makes rows as well
-    return math.inf if clock_rows > PAUSED * rows else max(clock_rows, rows) * weight(interval, bench)
+    return math.inf if clock_rows > MOST_DURATION_RATIO * rows else max(clock_rows, rows) * weight(interval, bench)
 
 
 def weight(interval: float, bench: BenchModel) -> float:
@@ -154,7 +162,9 @@ def stretches_of(walk: "Walk", slow: Record | None) -> list[Record]:
     if not stretches:
         raise InputError(list(dict.fromkeys(faults)))
     clocks = [clock for _, clock in stretches]
-    fastest = max((float(np.quantile(speed, TOP)) for clock in clocks for speed in absolute_speeds(clock)), default=0.0)
+    fastest = max(
+        (float(np.quantile(speed, TOP_QUANTILE)) for clock in clocks for speed in absolute_speeds(clock)), default=0.0
+    )
     counts = {key: max(clock.counts.get(key, 0.0) for clock in clocks) for clock in clocks for key in clock.counts}
     return [
         replace(record, fast=replace(clock, fastest=fastest, counts={key: counts[key] for key in clock.counts}))
@@ -196,7 +206,7 @@ def channels_of(run: Run) -> list[tuple[str, ChannelSpec]]:
 def slow_record(run: Run) -> Record | None:
     """Read the temperatures of a whole run; None where it has none."""
     channels = [meant(run, stream, spec) for stream, spec in channels_of(run) if is_slow(spec.quantity)]
-    if not any(np.isfinite(channel.values).sum() >= FEWEST for channel in channels):
+    if not any(np.isfinite(channel.values).sum() >= FEWEST_SAMPLES for channel in channels):
         return None
     return record_of(run, channels)
 

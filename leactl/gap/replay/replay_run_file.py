@@ -16,7 +16,7 @@ from leactl.gap.replay.job import Job
 from leactl.gap.replay.readings import angle
 from leactl.gap.replay.unknown_inputs import unknown_samples
 from leactl.gap.signals.record import Clocked, Key, Mask, read_record
-from leactl.gap.signals.rig import fed_by_voltage
+from leactl.gap.signals.rig import voltage_feed
 from leactl.model.nominal import read_model
 from leactl.quantities import ChannelSpec
 from leactl.runfile.publish import move_without_overwriting, refuse_existing
@@ -115,7 +115,7 @@ def _column(
             answer[np.interp(time, clock.time, unknown.astype(np.float64)) > 0.0] = np.nan
         return answer
     is_input = spec.quantity in INPUTS or spec.quantity.endswith("_reference") or key == ("q_axis_current", "load")
-    fed_by_supply = key == ("q_axis_voltage", "test") and fed_by_voltage(job.record, job.plant.model) is not None
+    fed_by_supply = key == ("q_axis_voltage", "test") and voltage_feed(job.record, job.plant.model) is not None
     if is_input or fed_by_supply or (key == ("q_axis_current", "test") and job.current is not None):
         location = spec.location or None
         return run.channel(*key, location=location).values

@@ -6,8 +6,8 @@ import numpy as np
 
 from leactl.gap.replay.cutting import logged_torque
 from leactl.gap.replay.job import Job
-from leactl.gap.signals.record import REACH, Key, Mask, near, pace
-from leactl.gap.signals.rig import fed_by_voltage
+from leactl.gap.signals.record import INTERPOLATION_REACH, Key, Mask, median_interval, near_stamps
+from leactl.gap.signals.rig import voltage_feed
 
 MOST_TOLD = 5  # stretches of a channel that a note gives
 
@@ -17,7 +17,7 @@ def unmeasured(job: Job, key: Key) -> Mask:
     if key not in job.clock.between:
         return np.zeros(len(job.clock.time), bool)
     stamps = job.clock.between[key][0]
-    return ~near(job.clock.time, stamps, REACH * max(pace(stamps), job.clock.interval))
+    return ~near_stamps(job.clock.time, stamps, INTERPOLATION_REACH * max(median_interval(stamps), job.clock.interval))
 
 
 def driving_channels(job: Job) -> Iterator[tuple[Key, Mask]]:
@@ -25,7 +25,7 @@ def driving_channels(job: Job) -> Iterator[tuple[Key, Mask]]:
     clock = job.clock
     if job.by_servo:
         keys = [("angle_reference", "test")]
-    elif fed_by_voltage(job.record, job.plant.model) is not None:
+    elif voltage_feed(job.record, job.plant.model) is not None:
         keys = [("q_axis_voltage", "test")]
     elif job.current is not None:
         keys = [("q_axis_current_reference", "test"), ("q_axis_current", "test")]

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from leactl.effects import library
 from leactl.gap.equations.contract import FEWEST_ROWS
 from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
-from leactl.gap.signals.smoothing import BASE
+from leactl.gap.signals.smoothing import BASE_WIDTH
 
 Array = npt.NDArray[np.float64]
 TORQUE = ("free_torque", "axis_torque", "both_torque", "coupled_torque")
@@ -79,7 +79,7 @@ def periodogram(rows: Rows, residual: Array, place: str, highest: int) -> Array:
         assert signals.current is not None
         size = (signals.model.torque_constant or 0.0) * signals.current[rows.index]
     cycles = speed * signals.interval / (2 * np.pi)  # of order one, a sample
-    width = math.hypot(BASE, rows.width)
+    width = math.hypot(BASE_WIDTH, rows.width)
     if "creep" in signals.extra:
         # a creeping axis steps and rests: the mean speed of the run counts
         cycles, width = np.full_like(cycles, np.mean(cycles)), CREEP_WIDTH

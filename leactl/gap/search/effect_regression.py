@@ -33,7 +33,7 @@ from leactl.gap.search.regression import (
 )
 from leactl.gap.search.stamp_fit import overdue, put_on_time, stamping
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.scales import form_scales, visited, widest, worth_knowing
+from leactl.gap.signals.scales import angle_bounds, form_scales, widest_angle_range, worth_knowing
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
@@ -124,8 +124,8 @@ class Evidence:
         self.by_form: dict[str, Sequence[float]] = {}  # floor of each effect by form, from sound machines
         self.lines: Mapping[tuple[str, str, str], float] = {}
         self.kept, self.unidentifiable = tuple(kept), tuple[str, ...]()  # parameters held at the model's value
-        self.forms, self.travel = forms_here(records, model), widest(records)
-        self.visited = visited(records)
+        self.forms, self.travel = forms_here(records, model), widest_angle_range(records)
+        self.visited = angle_bounds(records)
         self.form_spread: dict[Candidate, npt.NDArray[np.float64]] = {}  # covariance of the logarithms of refined forms
         self.candidates: list[Candidate] = list(only) if only is not None else every_form(self.forms)
         self._made: list[tuple[list[Equation], list[Rows]]] = []  # by run: equations, and the rows of each

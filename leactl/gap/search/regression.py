@@ -15,7 +15,7 @@ import numpy.typing as npt
 from leactl.effects import library
 from leactl.effects.contract import Form, Signals, Terms
 from leactl.gap.equations.contract import FEWEST_ROWS, MEMORY, Equation, usable
-from leactl.gap.signals.smoothing import thinned, thinned_index
+from leactl.gap.signals.smoothing import smoothed_and_thinned, thinned_rows
 
 Array = npt.NDArray[np.float64]
 Column = tuple[str, ...]  # ("calibration", name), ("nuisance", run, name), ("effect", effect, form, coefficient)
@@ -82,8 +82,8 @@ def rows_of(run: str, kind: str, equation: Equation, effects: dict[Column, Array
         names.append(("nuisance", "", name))
         priors[names[-1]] = prior
         raw.append(column)
-    table = thinned(np.stack(raw, axis=1), equation.width, equation.step)[mask]
-    index = thinned_index(len(equation.left_over), equation.width, equation.step)[mask]
+    table = smoothed_and_thinned(np.stack(raw, axis=1), equation.width, equation.step)[mask]
+    index = thinned_rows(len(equation.left_over), equation.width, equation.step)[mask]
     left_over = np.ascontiguousarray(table[:, 0])
     columns = {name: table[:, k + 1] for k, name in enumerate(names)} | effects
     interval = equation.signals.interval
@@ -133,7 +133,7 @@ def effect_columns(equations: Sequence[Equation], candidates: Sequence[Candidate
                 for k in (k for k in with_rows if id(equations[k].signals) == clock):
                     equation, mask = equations[k], masks[k]
                     for coefficient, column in effect_in(equation, terms).items():
-                        rows = thinned(column[:, None], equation.width, equation.step)[mask, 0]
+                        rows = smoothed_and_thinned(column[:, None], equation.width, equation.step)[mask, 0]
                         by_equation[k]["effect", effect, repr(form), coefficient] = rows
     return by_equation
 

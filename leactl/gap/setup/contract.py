@@ -8,7 +8,7 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
 from leactl.gap.diagnosis import Cause, EffectParameter, Picture
-from leactl.gap.signals.record import SMOOTHED, Key, Record
+from leactl.gap.signals.record import SMOOTHING_REACH, Key, Record
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -67,7 +67,7 @@ def left_out(record: Record, key: Key, masks: Mapping[str, Mask]) -> Record:
     if clock is None or mask is None or key not in clock.values:
         return record
     if not mask.all():
-        around = maximum_filter1d(mask, 2 * SMOOTHED + 1)  # noise at an end of a range is cut on one side
+        around = maximum_filter1d(mask, 2 * SMOOTHING_REACH + 1)  # noise at an end of a range is cut on one side
         return replace(record, fast=replace(clock, valid=clock.valid | {key: clock.valid[key] & ~around}))
     remaining = {channel: values for channel, values in clock.values.items() if channel != key}
     return replace(record, fast=replace(clock, values=remaining))

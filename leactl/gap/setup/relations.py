@@ -15,8 +15,8 @@ from scipy.ndimage import binary_opening, maximum_filter1d
 from leactl.effects.hysteresis_and_lags import play
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import Clocked, Record
-from leactl.gap.signals.rig import fed_by_voltage
-from leactl.gap.signals.smoothing import BASE, slope, smooth
+from leactl.gap.signals.rig import voltage_feed
+from leactl.gap.signals.smoothing import BASE_WIDTH, slope, smooth
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
@@ -101,7 +101,7 @@ def motion_of(clock: Clocked, role: str = "test") -> SmoothedMotion | None:
     angle, velocity = clock.get("angle", role), clock.get("velocity", role)
     if angle is None and velocity is None:
         return None
-    width = BASE
+    width = BASE_WIDTH
     while width <= WIDEST:
         if angle is not None:
             speed = smooth(np.gradient(angle, clock.interval), width)
@@ -142,7 +142,7 @@ def followed(clock: Clocked, role: str, mechanical: str) -> Iterator[Factor]:
 
 def width_for(values: Array) -> float:
     """Return the smoothing [samples] after which noise is a tenth of a channel's deviation, at most the widest."""
-    width = BASE
+    width = BASE_WIDTH
     while width < WIDEST and noise_of(values) / math.sqrt(3.5 * width) > NOISY * float(np.std(smooth(values, width))):
         width *= math.sqrt(2.0)
     return width
@@ -154,7 +154,7 @@ def of_torque(clock: Clocked, model: Model, mechanical: str, moved: SmoothedMoti
     if torque is None or force is None:
         return
     valid = clock.all_valid(("torque", "test"), ("q_axis_current", "test"))
-    width, other_columns = BASE, list[Array]()
+    width, other_columns = BASE_WIDTH, list[Array]()
     if mechanical == "coupled" and moved is not None:
         width, valid = moved.width, valid & clock.all_valid(("angle", "test"))
         other_columns = [moved.acceleration, moved.velocity, smooth(np.sign(moved.velocity), width)]
@@ -203,7 +203,7 @@ def of_feeding(record: Record, clock: Clocked, model: Model, moved: SmoothedMoti
 
 def taken_of_voltage(record: Record, model: Model, moved: SmoothedMotion) -> Array | None:
     """Return the voltage [V] for back-EMF and friction of a motor fed with a voltage; None if no voltage feeds it."""
-    fed = fed_by_voltage(record, model)
+    fed = voltage_feed(record, model)
     if fed is None:
         return None
     friction = (model.coulomb_friction or 0.0) * np.sign(moved.velocity)

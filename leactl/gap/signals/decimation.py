@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from leactl.gap.signals.derived import averaged
+from leactl.gap.signals.derived import channel_means
 from leactl.gap.signals.record import Clocked
 
 
@@ -22,7 +22,7 @@ def decimated(clock: Clocked, factor: int) -> Clocked:
         if quantity == "angle" and key not in clock.means:
             values[key] = measured[ends]
         else:
-            series = measured if quantity.endswith("_reference") else averaged(clock, quantity, role)
+            series = measured if quantity.endswith("_reference") else channel_means(clock, quantity, role)
             assert series is not None
             values[key] = series[:rows].reshape(-1, factor).mean(axis=1)
             means.add(key)

@@ -19,28 +19,32 @@ from leactl.effects.contract import Signals
 from leactl.effects.hysteresis_and_lags import play, ramp_means
 from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.gap.signals.record import Clocked, Record
-from leactl.gap.signals.smoothing import middle, sharp_senses, slope, smooth, speeds
+from leactl.gap.signals.smoothing import interval_means, sharp_mean_signs, slope, smooth, speeds
 from leactl.model.motor_schema import Thermal
 from leactl.model.nominal import BenchModel, Model
 from leactl.model.thermal_network import ThermalNetwork
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-SMOOTHED, FEWEST_SMOOTHED = 0.15, 2.0  # of a winding's time constant, and samples: smoothing of temperatures
-REST, FEWEST_OF_REST = 0.87, 6.0  # the same for the part that no network explains; samples without a network
-LOOSELY = 1.0  # K per e-fold, prior cost of a change of a network parameter
-FARTHEST = 1.5  # e-folds, largest change of a network parameter
-FOLLOWED = 8  # most rounds of the network's fit
-CALM = 5.0  # samples
-SWING_DAMPING = 0.03  # of critical, as shafts without a damper have it
-RINGS = 2.4  # decay time constants for which a locked rotor may swing on its shaft
-STICKS, SLIDES = 0.5, 1.0  # swings, over friction, from which the sticking position, and the sliding, are unknown
-STICKY = 0.01  # share of the largest torque below which friction hardly matters for the sticking position
-DIFFERENCED = 70.0  # variance of a fourth difference, over that of a sample
-SETTLES = 3.0  # time constants of a current loop
-SUDDEN, AROUND = 4.0, 9  # power over noise, in so many samples, from which the motion changes between samples
-SHORTEST = 1e-6  # loop time constants of the shortest ramp; a shorter one is a step
-SHARP = 0.7  # samples, smoothing of the current where friction sticks: enough that noise does not work the play
+SMOOTHING_SHARE = 0.15  # smoothing of temperatures, as a share of a winding's time constant
+LEAST_SMOOTHING = 2.0  # samples, smoothing of temperatures
+RESIDUAL_SMOOTHING_SHARE = 0.87  # smoothing of the part that no network explains, as a share of the time constant
+RESIDUAL_SMOOTHING = 6.0  # samples, smoothing of that part without a network
+NETWORK_PRIOR = 1.0  # K per e-fold, prior cost of a change of a network parameter
+MOST_NETWORK_CHANGE = 1.5  # e-folds of a network parameter
+MOST_NETWORK_ROUNDS = 8  # rounds of the network's fit
+CALM_WIDTH = 5.0  # samples, smoothing of torque and velocity until encoder steps no longer show
+SWING_DAMPING = 0.03  # damping ratio of shafts without a damper
+RINGING_TIME_CONSTANTS = 2.4  # decay time constants for which a locked rotor may swing on its shaft
+STICKING_SWING = 0.5  # swing over friction from which the sticking position of a locked rotor is unknown
+SLIDING_SWING = 1.0  # the same from which its sliding is unknown
+LEAST_FRICTION_SHARE = 0.01  # share of the largest torque below which friction hardly moves the sticking position
+FOURTH_DIFFERENCE_VARIANCE = 70.0  # variance of a fourth difference, over that of a sample
+LEAST_SETTLED_INTERVAL = 3.0  # time constants of a current loop; within a longer interval its current settles
+SUDDEN_POWER_RATIO = 4.0  # power of fourth differences over noise from which motion changes between samples
+SUDDEN_WINDOW = 9  # samples over which that power is averaged
+SHORTEST_RAMP = 1e-6  # time constants of the loop; a shorter ramp is a step
+SHARP_WIDTH = 0.7  # samples, smoothing of the current where friction sticks: noise must not move the play
 
 
 def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals | None:
@@ -50,74 +54,74 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
         return None
     dt = clock.interval
     s = Signals(record.mechanical, clock.since_begin, model, dt, record.name, clock.fastest, smoothed=smooth)
-    current = averaged(clock, "q_axis_current")
+    current = channel_means(clock, "q_axis_current")
     reference = clock.get("q_axis_current_reference")
     if reference is not None and model.bench.current_loop_bandwidth:
         if not moved_by_a_servo(clock):
-            reference = led(reference, model.bench, dt)
+            reference = with_setpoint_lead(reference, model.bench, dt)
         bandwidth, as_means = model.bench.current_loop_bandwidth, ("q_axis_current", "test") in clock.means
         keys = {("q_axis_current", "test"), ("q_axis_current_reference", "test")}
         unsaid = keys & (clock.unstamped | clock.between.keys())
         s.command_held = not (unsaid or clock.setpoints_between or moved_by_a_servo(clock))
-        ends, means = loop(reference, bandwidth, dt)
+        ends, means = loop_response(reference, bandwidth, dt)
         s.command, s.following = reference, means if as_means else ends
         s.looped = partial(loop_reading, bandwidth=bandwidth, interval=dt, as_mean=as_means)
         if not as_means and current is not None and not moved_by_a_servo(clock):
-            current = current + means - middle(ends)  # what a step does between two instants
+            current = current + means - interval_means(ends)  # what a step does between two instants
     if current is not None:
         s.current = smooth(current)
-        s.extra["sharp_current"] = smooth(current, SHARP)
-    voltage = averaged(clock, "q_axis_voltage")
+        s.extra["sharp_current"] = smooth(current, SHARP_WIDTH)
+    voltage = channel_means(clock, "q_axis_voltage")
     s.voltage = smooth(voltage) if voltage is not None else None
     s.bus_voltage = clock.get("bus_voltage", "bench")
     angle = clock.get("angle")
     if angle is not None:
         speed = speeds(angle, dt)
-        s.sharp_angle = middle(angle)
+        s.sharp_angle = interval_means(angle)
         s.angle = smooth(s.sharp_angle)
         s.velocity = smooth(speed)
         s.acceleration = slope(s.velocity, dt)
         s.count = quantum_of(np.diff(angle))
-        s.sliding = smooth(sharp_senses(speed, max(s.count, math.sqrt(2.0) * noise_of(angle)) / dt))
+        s.sliding = smooth(sharp_mean_signs(speed, max(s.count, math.sqrt(2.0) * noise_of(angle)) / dt))
     elif (velocity := clock.get("velocity")) is not None:
-        s.velocity = smooth(middle(velocity))
+        s.velocity = smooth(interval_means(velocity))
         s.acceleration = slope(s.velocity, dt)
-        s.sliding = smooth(sharp_senses(middle(velocity), noise_of(velocity)))
-    temperatures(s, slow, clock.time)
-    s.torque = transmitted(s)
+        s.sliding = smooth(sharp_mean_signs(interval_means(velocity), noise_of(velocity)))
+    interpolate_temperatures(s, slow, clock.time)
+    s.torque = shaft_torque(s)
     if s.torque is not None:
         # a locked rotor's torque comes from the current alone: no encoder step is in it
-        s.calm_torque = s.torque if s.mechanical == "locked" else smooth(s.torque, CALM)
+        s.calm_torque = s.torque if s.mechanical == "locked" else smooth(s.torque, CALM_WIDTH)
     if s.velocity is not None:
-        s.calm_velocity = smooth(s.velocity, CALM)
+        s.calm_velocity = smooth(s.velocity, CALM_WIDTH)
     if angle is not None:
-        s.resolved = resolved(angle, s.count) & ~unseen(clock, model.bench)
-    s.settled, s.unleapt = settled(s, STICKS), settled(s, SLIDES)
+        s.resolved = resolved_samples(angle, s.count) & ~hidden_step_samples(clock, model.bench)
+    s.settled, s.unleapt = known_sticking_samples(s, STICKING_SWING), known_sticking_samples(s, SLIDING_SWING)
     return s
 
 
-def resolved(angle: Array, count: float) -> Mask:
+def resolved_samples(angle: Array, count: float) -> Mask:
     """Return the samples around which an angle is smooth enough to be interpolated.
 
     Where fourth differences exceed their noise, the motion has parts as fast as the sampling. An encoder whose counts
     do not show is taken as smooth.
     """
-    if count == 0.0 or len(angle) < AROUND:
+    if count == 0.0 or len(angle) < SUDDEN_WINDOW:
         return np.ones(len(angle), np.bool_)
     change = np.diff(angle, 4)
-    noise = max(float(np.median(np.abs(change))) / 0.6745, count * np.sqrt(DIFFERENCED / 12.0))
+    noise = max(float(np.median(np.abs(change))) / 0.6745, count * np.sqrt(FOURTH_DIFFERENCE_VARIANCE / 12.0))
     sudden = np.zeros(len(angle), np.bool_)
-    sudden[2:-2] = uniform_filter1d((change / noise) ** 2, AROUND) > SUDDEN
+    sudden[2:-2] = uniform_filter1d((change / noise) ** 2, SUDDEN_WINDOW) > SUDDEN_POWER_RATIO
     return ~sudden
 
 
-def unseen(clock: Clocked, bench: BenchModel) -> Mask:
+def hidden_step_samples(clock: Clocked, bench: BenchModel) -> Mask:
     """Return the samples around which a current may change and settle between two samples.
 
     That is where a drive is switched, and where a servo's target moves if its current loop is that fast.
     """
     hidden = np.zeros(len(clock.time), np.bool_)
-    settles = 2.0 * np.pi * (bench.current_loop_bandwidth or 0.0) * clock.interval > SETTLES
+    settles = 2.0 * np.pi * (bench.current_loop_bandwidth or 0.0) * clock.interval > LEAST_SETTLED_INTERVAL
     for quantity, role in clock.values:
         targets = quantity in ("velocity_reference", "angle_reference") and settles
         if quantity != "drive_enabled" and (not targets or ("q_axis_current", role) in clock.means):
@@ -128,12 +132,12 @@ def unseen(clock: Clocked, bench: BenchModel) -> Mask:
     return hidden
 
 
-def averaged(clock: Clocked, quantity: str, role: str = "test") -> Array | None:
+def channel_means(clock: Clocked, quantity: str, role: str = "test") -> Array | None:
     """Return a channel as means over the interval that ends at each stamp; None where it is missing."""
     values = clock.get(quantity, role)
     if values is None or (quantity, role) in clock.means:
         return values
-    return middle(values)
+    return interval_means(values)
 
 
 def moved_by_a_servo(clock: Clocked) -> bool:
@@ -141,15 +145,15 @@ def moved_by_a_servo(clock: Clocked) -> bool:
     return clock.get("velocity_reference") is not None or clock.get("angle_reference") is not None
 
 
-def led(reference: Array, bench: BenchModel, interval: float) -> Array:
+def with_setpoint_lead(reference: Array, bench: BenchModel, interval: float) -> Array:
     """Return the reference after the drive's setpoint lead, as means over the intervals of each setpoint."""
     if not bench.setpoint_lead:
         return reference
-    _, caught_up = loop(reference, 1.0 / (2.0 * np.pi * bench.setpoint_lead_time), interval)
+    _, caught_up = loop_response(reference, 1.0 / (2.0 * np.pi * bench.setpoint_lead_time), interval)
     return reference + bench.setpoint_lead * (reference - caught_up)
 
 
-def loop(
+def loop_response(
     command: Array, bandwidth: float, interval: float, begin: float | None = None, shares: Array | None = None
 ) -> tuple[Array, Array]:
     """Return a first-order loop's response to a command: values at the ends of intervals, and means over them.
@@ -164,7 +168,7 @@ def loop(
     driven, means = (1.0 - decay) * command, command
     if shares is not None:
         change = np.diff(command, prepend=start)
-        ramp_constants = np.maximum(shares * interval / constant, SHORTEST)
+        ramp_constants = np.maximum(shares * interval / constant, SHORTEST_RAMP)
         # the ramp's distance to its end, change * (1 - t / ramp), filtered by the loop until the interval ends
         driven = (
             driven
@@ -179,11 +183,11 @@ def loop_reading(
     command: Array, shares: Array, begin: float, bandwidth: float, interval: float, as_mean: bool
 ) -> Array:
     """Return the part of a loop's response that the current channel reads: its mean over each interval, or its end."""
-    ends, means = loop(command, bandwidth, interval, begin, shares)
+    ends, means = loop_response(command, bandwidth, interval, begin, shares)
     return means if as_mean else ends
 
 
-def settled(s: Signals, swing: float) -> Mask:
+def known_sticking_samples(s: Signals, swing: float) -> Mask:
     """Return the samples at which the sticking position of a locked rotor is known; all samples in other set-ups.
 
     A step of the current makes the rotor swing on its shaft, by `swing` times its friction or more, and its sticking
@@ -195,7 +199,7 @@ def settled(s: Signals, swing: float) -> Mask:
     if s.mechanical != "locked" or s.current is None or not stiffness or not inertia or not model.torque_constant:
         return known
     force, rate = model.torque_constant * s.extra["sharp_current"], np.sqrt(stiffness / inertia)
-    if rate * s.interval > np.pi or friction < STICKY * np.max(np.abs(force)):
+    if rate * s.interval > np.pi or friction < LEAST_FRICTION_SHARE * np.max(np.abs(force)):
         return known
     numerator, denominator, _ = cont2discrete(
         ([rate**2], [1.0, 2.0 * SWING_DAMPING * rate, rate**2]), s.interval, "foh"
@@ -207,7 +211,7 @@ def settled(s: Signals, swing: float) -> Mask:
     if s.time[0] > 0.0:  # before a stretch of a run the sticking position is unknown
         leaps = np.union1d(0, leaps)
     for leap, following in zip(leaps, np.append(leaps, len(force))[1:], strict=True):
-        rings = leap + round(RINGS / (SWING_DAMPING * rate * s.interval))
+        rings = leap + round(RINGING_TIME_CONSTANTS / (SWING_DAMPING * rate * s.interval))
         later_force = force[rings:following]
         excursion = np.maximum(
             later_force - np.minimum.accumulate(later_force), np.maximum.accumulate(later_force) - later_force
@@ -217,7 +221,7 @@ def settled(s: Signals, swing: float) -> Mask:
     return known
 
 
-def temperatures(s: Signals, slow: Signals | None, time: Array) -> None:
+def interpolate_temperatures(s: Signals, slow: Signals | None, time: Array) -> None:
     """Interpolate the temperatures of the slow clock at the times of the signals."""
     if slow is None:
         return
@@ -227,13 +231,13 @@ def temperatures(s: Signals, slow: Signals | None, time: Array) -> None:
             setattr(s, name, np.interp(time, slow.extra["stamps"], values))
 
 
-def transmitted(s: Signals) -> Array | None:
+def shaft_torque(s: Signals) -> Array | None:
     """Return the model's torque on the shaft from current and motion; None where nothing is on the shaft."""
     model = s.model
     if s.current is None or model.torque_constant is None or s.mechanical not in ("locked", "coupled"):
         return None
     if s.mechanical == "locked":
-        return held(s, 1.0, 1.0)
+        return locked_rotor_torque(s, 1.0, 1.0)
     drive = model.torque_constant * s.current
     if s.velocity is None or s.acceleration is None or s.sliding is None or model.rotor_inertia is None:
         return None
@@ -241,7 +245,7 @@ def transmitted(s: Signals) -> Array | None:
     return drive - model.rotor_inertia * s.acceleration - friction
 
 
-def held(s: Signals, drive: float, friction: float) -> Array:
+def locked_rotor_torque(s: Signals, drive: float, friction: float) -> Array:
     """Return the torque transmitted by a locked rotor, with the drive's torque and Coulomb friction scaled."""
     model = s.model
     force = drive * (model.torque_constant or 0.0) * s.extra["sharp_current"]
@@ -259,8 +263,8 @@ def slow_signals(record: Record, model: Model) -> Signals | None:
         name: clock.get(f"{name}_temperature", "bench" if name == "ambient" else "test")
         for name in ("winding", "housing", "ambient")
     }
-    warms = warming(model) / clock.interval
-    width = max(SMOOTHED * warms, FEWEST_SMOOTHED)
+    warms = winding_time_constant(model) / clock.interval
+    width = max(SMOOTHING_SHARE * warms, LEAST_SMOOTHING)
     s.line_current = clock.get("line_current")
     winding, housing, ambient = raw["winding"], raw["housing"], raw["ambient"]
     s.ambient = smooth(ambient, width) + model.ambient_offset if ambient is not None else None
@@ -270,17 +274,17 @@ def slow_signals(record: Record, model: Model) -> Signals | None:
         s.winding_rise = s.winding - model.reference_temperature
     elif winding is not None:
         s.winding = smooth(winding, width)
-        motion(record, s, clock.time)
+        set_motion(record, s, clock.time)
         s.winding_rise = s.winding - model.reference_temperature
-        joule(record, s)
+        set_joule_heat(record, s)
         heat = s.extra.get("heat")
         if heat is not None and housing is not None and s.ambient is not None and model.thermal is not None:
             # columns must not contain the camera's noise, which is in the left-over as well
             measured = np.stack([winding, housing])
             valid = np.stack([clock.all_valid((f"{name}_temperature", "test")) for name in ("winding", "housing")])
-            driven = following(model.thermal, clock.interval, heat, s.ambient, measured, valid)
+            driven = fitted_temperatures(model.thermal, clock.interval, heat, s.ambient, measured, valid)
             residual = np.where(valid, measured - driven, 0.0)
-            width = REST * warms
+            width = RESIDUAL_SMOOTHING_SHARE * warms
             shares = [smooth(values.astype(float), width) for values in valid]
             s.winding, s.housing = driven + np.stack(
                 [
@@ -290,36 +294,38 @@ def slow_signals(record: Record, model: Model) -> Signals | None:
             )
         s.winding_rise = s.winding - model.reference_temperature
         if clock.fed is not None:
-            width = REST * warms if warms else FEWEST_OF_REST
+            width = RESIDUAL_SMOOTHING_SHARE * warms if warms else RESIDUAL_SMOOTHING
             s.extra["fed_rise"] = s.winding_rise + smooth(clock.fed - winding, width)
     s.housing_rise = s.housing - model.reference_temperature if s.housing is not None else None
     return s
 
 
-def warming(model: Model) -> float:
+def winding_time_constant(model: Model) -> float:
     """Return the time constant [s] of a winding towards its housing; zero without a network."""
     thermal = model.thermal
     return 0.0 if thermal is None else thermal.winding_capacitance * thermal.winding_housing_resistance
 
 
-def following(thermal: Thermal, interval: float, heat: Array, ambient: Array, measured: Array, valid: Mask) -> Array:
+def fitted_temperatures(
+    thermal: Thermal, interval: float, heat: Array, ambient: Array, measured: Array, valid: Mask
+) -> Array:
     """Return the temperatures [degC] of the network with the parameters that fit a run best."""
     names = list(Thermal.model_fields)
     nominal = np.array([getattr(thermal, name) for name in names])
 
     def driven(point: Array) -> Array:
-        factors = np.exp(np.clip(point[2:], -FARTHEST, FARTHEST))
+        factors = np.exp(np.clip(point[2:], -MOST_NETWORK_CHANGE, MOST_NETWORK_CHANGE))
         changed = Thermal(**dict(zip(names, (nominal * factors).tolist(), strict=True)))
         return ThermalNetwork(changed, interval).temperatures(heat, ambient, (float(point[0]), float(point[1])))
 
     def residual(point: Array) -> Array:
-        return np.concatenate([(driven(point) - measured)[valid], LOOSELY * point[2:]])
+        return np.concatenate([(driven(point) - measured)[valid], NETWORK_PRIOR * point[2:]])
 
     begin = np.concatenate([measured[:, 0], np.zeros(len(names))])
-    return driven(least_squares(residual, begin, method="lm", max_nfev=FOLLOWED * (len(begin) + 1)).x)
+    return driven(least_squares(residual, begin, method="lm", max_nfev=MOST_NETWORK_ROUNDS * (len(begin) + 1)).x)
 
 
-def motion(record: Record, s: Signals, stamps: Array) -> None:
+def set_motion(record: Record, s: Signals, stamps: Array) -> None:
     """Set mean squares of current and speed over the intervals of the slow clock."""
     if record.slow is not None and record.slow.driven:
         s.extra |= {name: values for name, values in record.slow.driven.items() if name.startswith("current")}
@@ -330,14 +336,14 @@ def motion(record: Record, s: Signals, stamps: Array) -> None:
         return
     current, angle = record.fast.get("q_axis_current"), record.fast.get("angle")
     if current is not None:
-        s.extra["current_squared"] = binned(record.fast.time, current**2, stamps)
-        s.extra["current_mean"] = binned(record.fast.time, current, stamps)
+        s.extra["current_squared"] = means_after_edges(record.fast.time, current**2, stamps)
+        s.extra["current_mean"] = means_after_edges(record.fast.time, current, stamps)
     if angle is not None:
         speed = smooth(speeds(angle, record.fast.interval))
-        s.velocity = np.sqrt(binned(record.fast.time, speed**2, stamps))
+        s.velocity = np.sqrt(means_after_edges(record.fast.time, speed**2, stamps))
 
 
-def joule(record: Record, s: Signals) -> None:
+def set_joule_heat(record: Record, s: Signals) -> None:
     """Set the Joule heat of the winding [W] from the supply of the heated leads, else from the drive's current."""
     model = s.model
     if s.line_current is not None:
@@ -352,7 +358,7 @@ def joule(record: Record, s: Signals) -> None:
         s.extra["heat_per_ampere"] = 2.0 * s.extra["current_mean"] * resistance
 
 
-def binned(time: Array, values: Array, edges: Array) -> Array:
+def means_after_edges(time: Array, values: Array, edges: Array) -> Array:
     """Return the means of values over the interval that begins at each edge."""
     total = np.concatenate([[0.0], np.cumsum(values)])
     index = np.searchsorted(time, np.append(edges, 2 * edges[-1] - edges[-2]))

@@ -27,7 +27,7 @@ def _power(s: Signals) -> Array | None:
     return None if s.voltage is None or s.current is None else s.voltage * s.current
 
 
-OF_SIGNALS: dict[Variable, Callable[[Signals], Array | None]] = {
+VARIABLE_FUNCTIONS: dict[Variable, Callable[[Signals], Array | None]] = {
     "angle": lambda s: s.angle,
     "velocity": lambda s: s.velocity,
     "acceleration": lambda s: s.acceleration,
@@ -43,19 +43,24 @@ OF_SIGNALS: dict[Variable, Callable[[Signals], Array | None]] = {
     "time": lambda s: s.time,
 }
 """Every variable from the signals of one run; None where the run does not show it."""
-CURRENT = ("q_axis_current", "current_rate")
-HOLD_THE_REST = {"free_torque": CURRENT, "reversal_torque": CURRENT, "axis_torque": CURRENT, "lock": ("angle",)}
+CURRENT_VARIABLES = ("q_axis_current", "current_rate")
+VARIABLES_WITH_RESIDUAL = {
+    "free_torque": CURRENT_VARIABLES,
+    "reversal_torque": CURRENT_VARIABLES,
+    "axis_torque": CURRENT_VARIABLES,
+    "lock": ("angle",),
+}
 """Variables that contain an equation's residual: the motion and the current together determine the residual."""
 
 
 def variable_in(variable: Variable, equation: str, signals: Signals) -> Array | None:
     """Return a variable of one run by sample; None if the run lacks it or it contains the equation's residual."""
-    return None if variable in HOLD_THE_REST.get(equation, ()) else OF_SIGNALS[variable](signals)
+    return None if variable in VARIABLES_WITH_RESIDUAL.get(equation, ()) else VARIABLE_FUNCTIONS[variable](signals)
 
 
 def state_in(equation: str, signals: Signals) -> dict[Variable, Array]:
     """Return the variables of one run, by sample, that the residual of an equation may be a function of."""
-    variables = {variable: variable_in(variable, equation, signals) for variable in OF_SIGNALS}
+    variables = {variable: variable_in(variable, equation, signals) for variable in VARIABLE_FUNCTIONS}
     return {variable: values for variable, values in variables.items() if values is not None}
 
 

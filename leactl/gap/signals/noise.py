@@ -6,8 +6,8 @@ from scipy.ndimage import median_filter
 
 Array = npt.NDArray[np.float64]
 SEGMENT = 64  # samples of one spectrum
-LINES = 9  # bins of the median filter that removes lines from a spectrum
-TREND = 4  # coefficients of the cubic that motion is in a segment; removing it removes the noise of as many bins
+LINE_FILTER_BINS = 9  # bins of the median filter that removes lines from a spectrum
+TREND_COEFFICIENTS = 4  # of the cubic that is removed from a segment as motion, with the noise of as many bins
 MEDIAN_OF_POWER = float(np.log(2.0))  # median over mean of the power of white noise in a bin
 
 
@@ -29,7 +29,7 @@ def quantum_of(values: Array) -> float:
     return float(np.min(steps)) if len(steps) else 0.0
 
 
-def coloured(values: Array, quantum: float, random: np.random.Generator) -> Array:
+def coloured_noise(values: Array, quantum: float, random: np.random.Generator) -> Array:
     """Return random noise with a channel's quiet spectrum, less the power of rounding."""
     power = quiet_spectrum(values)
     if power is None:
@@ -52,12 +52,12 @@ def quiet_spectrum(values: Array) -> Array | None:
         return None
     parts = values[: count * SEGMENT].reshape(count, SEGMENT)
     positions = np.linspace(-1.0, 1.0, SEGMENT)
-    basis = np.linalg.qr(np.stack([positions**power for power in range(TREND)], axis=1))[0]
+    basis = np.linalg.qr(np.stack([positions**power for power in range(TREND_COEFFICIENTS)], axis=1))[0]
     window = np.hanning(SEGMENT)
     spectra = np.abs(np.fft.rfft((parts - parts @ basis @ basis.T) * window, axis=1)) ** 2 / np.sum(window**2)
     power = np.median(spectra, axis=0) / MEDIAN_OF_POWER
     quarter, half = len(power) // 4, len(power) // 2
-    power[:TREND] = np.median(power[TREND:quarter])
-    power = np.asarray(median_filter(power, LINES, mode="nearest"))
+    power[:TREND_COEFFICIENTS] = np.median(power[TREND_COEFFICIENTS:quarter])
+    power = np.asarray(median_filter(power, LINE_FILTER_BINS, mode="nearest"))
     power[:quarter] = np.minimum(power[:quarter], np.median(power[quarter:half]))
     return power

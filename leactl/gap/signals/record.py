@@ -21,18 +21,19 @@ Mask = npt.NDArray[np.bool_]
 Key = tuple[str, str]  # quantity, role
 AMBIENT = "ambient_temperature"
 WINDING = ("winding_temperature", "test")
-FED, UNFED = "active", "inactive"  # locations of the phases that two leads feed, and of the third phase
-SLOW = ("winding_temperature", "housing_temperature", AMBIENT)
-FEWEST = 50  # samples below which a channel says nothing
-MANY_MISSING = 0.2  # missing share of a channel's samples from which a note says so
-REACH = 2.5  # intervals of a channel over which values are interpolated
-BURSTS = 0.3  # share of a run's time in gaps from which its stamps come in bursts: a hold, then a step to the next
-PAUSES = 16  # gaps below which a run pauses or its clock jumps, and its stamps do not come in bursts
-ALIKE = 0.1  # relative difference up to which a stretch takes its run's interval: jitter shifts a median
-PAUSED = 64.0  # longest duration of a run, over that of its samples
-UNBRIDGED = 0.05  # share of the time of bursts that stays in gaps
-LONG, SMOOTHED = 8, 12  # samples: shortest gap that is not interpolated, and reach of smoothing on either side of it
-STRETCHES, EVERY = 16, 8  # stretches of a run, of which one in so many is held out
+FED_LOCATION, UNFED_LOCATION = "active", "inactive"  # locations of the phases that two leads feed, and of the third
+SLOW_QUANTITIES = ("winding_temperature", "housing_temperature", AMBIENT)
+FEWEST_SAMPLES = 50  # samples of a usable channel
+NOTED_MISSING_SHARE = 0.2  # missing share of a channel's samples from which a note says so
+INTERPOLATION_REACH = 2.5  # intervals of a channel over which values are interpolated
+BURST_GAP_SHARE = 0.3  # share of a run's time in gaps from which its stamps come in bursts
+FEWEST_BURST_GAPS = 16  # gaps; with fewer, a run pauses or its clock jumps, and its stamps do not come in bursts
+INTERVAL_TOLERANCE = 0.1  # relative difference up to which a stretch takes its run's interval: jitter shifts a median
+MOST_DURATION_RATIO = 64.0  # duration of a run over that of its samples
+UNBRIDGED_SHARE = 0.05  # share of the time of bursts that stays in gaps
+LONG_GAP = 8  # samples; a gap of as many or more is not interpolated
+SMOOTHING_REACH = 12  # samples on either side of a long gap that smoothing reaches
+STRETCHES, HELD_OUT_EVERY = 16, 8  # stretches of a run, of which one in so many is held out
 
 
 @dataclass
@@ -86,7 +87,7 @@ class Clocked:
             np.concatenate([stamps, [np.inf]])[next_stamp],
         )
         return np.asarray(
-            (stamp_after > self.time + half_interval) & (stamp_after - stamp_before > LONG * self.interval)
+            (stamp_after > self.time + half_interval) & (stamp_after - stamp_before > LONG_GAP * self.interval)
         )
 
     def all_valid(self, *keys: Key) -> Mask:
@@ -136,7 +137,7 @@ class Record:
             if clock is None:
                 return None
             stretch = ((clock.time - begin) / (end - begin) * STRETCHES).astype(np.intp)
-            keep = (stretch % EVERY == EVERY // 2) == inside
+            keep = (stretch % HELD_OUT_EVERY == HELD_OUT_EVERY // 2) == inside
             return replace(clock, valid={key: valid & keep for key, valid in clock.valid.items()})
 
         remaining, taken_out = (
@@ -180,10 +181,10 @@ def record_of(run: Run, channels: list[Channel] | None = None, usual: float | No
     kind = str(run.attributes.get("protocol") or run.mechanical)
     setup = {k: float(v) for k, v in run.setup.items() if isinstance(v, int | float)}
     condition = str(run.attributes.get("condition") or "")
-    return replace(build(run.path, kind, run.mechanical, channels, setup, usual), condition=condition)
+    return replace(build_record(run.path, kind, run.mechanical, channels, setup, usual), condition=condition)
 
 
-def build(
+def build_record(
     path: Path,
     kind: str,
     mechanical: str,
@@ -194,9 +195,9 @@ def build(
     """Sort channels onto a fast and a slow clock, the fast one at the run's usual interval where it is given."""
     notes: list[str] = []
     usable = []
-    for channel in of_the_bench(channels):
+    for channel in with_bench_ambient(channels):
         finite = np.isfinite(channel.values)
-        if finite.sum() < FEWEST:
+        if finite.sum() < FEWEST_SAMPLES:
             if finite.any() or not channel.quantity.endswith(
                 "_reference"
             ):  # an empty reference: the drive was in another mode
@@ -208,10 +209,16 @@ def build(
             if finite.all() and np.ptp(channel.values) == 0.0 and not may_rest(channel, mechanical):
                 notes.append(f"{path.name}: {channel.quantity} of {channel.role} never changes; is the channel alive?")
             evenly = np.ptp(np.diff(np.flatnonzero(finite))) == 0  # as of a slower channel on the clock of a faster one
-            if finite.mean() <= 1.0 - MANY_MISSING and not evenly and not channel.quantity.endswith("_reference"):
+            if (
+                finite.mean() <= 1.0 - NOTED_MISSING_SHARE
+                and not evenly
+                and not channel.quantity.endswith("_reference")
+            ):
                 notes.append(f"{path.name}: a fifth or more of {channel.quantity} of {channel.role} was not measured")
     if not usable:
-        raise InputError(f"{path}: no channel with {FEWEST} samples or more; a diagnosis needs a current or an angle")
+        raise InputError(
+            f"{path}: no channel with {FEWEST_SAMPLES} samples or more; a diagnosis needs a current or an angle"
+        )
     fast = [c for c in usable if not is_slow(c.quantity)]
     slow = [c for c in usable if is_slow(c.quantity)]
     clocks = _on_clock(fast, notes, path, usual), _on_clock(slow, notes, path)
@@ -220,10 +227,10 @@ def build(
 
 def is_slow(quantity: str) -> bool:
     """Return whether a channel belongs on the clock of camera and supply."""
-    return quantity in SLOW or quantity.startswith("line_")
+    return quantity in SLOW_QUANTITIES or quantity.startswith("line_")
 
 
-def of_the_bench(channels: list[Channel]) -> list[Channel]:
+def with_bench_ambient(channels: list[Channel]) -> list[Channel]:
     """Return the channels with the ambient temperature of the test actuator as the bench's, if the bench has none."""
     if any(channel.quantity == AMBIENT and channel.role == "bench" for channel in channels):
         return channels
@@ -248,10 +255,11 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path, usual: floa
         streams.setdefault(channel.stream, []).append(channel)
     leading = max(streams.values(), key=lambda group: (len(group), len(group[0].time)))[0].time
     own_interval = bridging_interval(leading)
-    if leading[-1] - leading[0] > PAUSED * own_interval * len(leading):
-        raise InputError(f"{path}: {jump_of(leading)}; what it measures cannot be put on one clock")
-    grid, interval, even = grid_of(
-        leading, own_interval if usual is None or abs(usual - own_interval) > ALIKE * own_interval else usual
+    if leading[-1] - leading[0] > MOST_DURATION_RATIO * own_interval * len(leading):
+        raise InputError(f"{path}: {longest_gap_text(leading)}; what it measures cannot be put on one clock")
+    grid, interval, even = even_grid(
+        leading,
+        own_interval if usual is None or abs(usual - own_interval) > INTERVAL_TOLERANCE * own_interval else usual,
     )
     if not even:
         notes.append(f"{path.name}: stamps are uneven; values are taken in between at {1 / interval:.6g} Hz")
@@ -269,13 +277,17 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path, usual: floa
                 valid.append(finite)
                 continue
             stamps = leading if on_leading_stamps else channel.time
-            reach = REACH * max(pace(channel.time), interval if interval > 1.5 * pace(leading) else 0.0)
+            reach = INTERPOLATION_REACH * max(
+                median_interval(channel.time), interval if interval > 1.5 * median_interval(leading) else 0.0
+            )
             values.append(np.interp(clocked.time, stamps[finite], channel.values[finite]))
             if len(group) == 1:
                 clocked.between[key] = stamps[finite], channel.values[finite]
-            valid.append(finite if on_leading_stamps else near(clocked.time, channel.time[finite], reach))
-        fed = [column for column, channel in zip(values, group, strict=True) if region_of(channel) == FED]
-        unfed = [column for column, channel in zip(values, group, strict=True) if region_of(channel) == UNFED]
+            valid.append(finite if on_leading_stamps else near_stamps(clocked.time, channel.time[finite], reach))
+        fed = [column for column, channel in zip(values, group, strict=True) if winding_region(channel) == FED_LOCATION]
+        unfed = [
+            column for column, channel in zip(values, group, strict=True) if winding_region(channel) == UNFED_LOCATION
+        ]
         if key == WINDING and fed and unfed:
             clocked.fed = np.mean(fed, axis=0)
             clocked.values[key] = ACTIVE_SHARE * clocked.fed + (1.0 - ACTIVE_SHARE) * np.mean(unfed, axis=0)
@@ -292,7 +304,7 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path, usual: floa
     return clocked
 
 
-def grid_of(stamps: Array, usual: float) -> tuple[Array, float, bool]:
+def even_grid(stamps: Array, usual: float) -> tuple[Array, float, bool]:
     """Return evenly spaced times over stamps, their interval, and whether the stamps equal them but for jitter."""
     span = stamps[-1] - stamps[0]
     for interval in dict.fromkeys((usual, bridging_interval(stamps))):
@@ -310,12 +322,12 @@ def without_edges(valid: Mask) -> Mask:
     gaps = np.flatnonzero(np.diff(np.concatenate([[1], valid.astype(np.intp), [1]])))
     inner = valid.copy()
     for begin, end in gaps.reshape(-1, 2):
-        if end - begin >= LONG:
-            inner[max(begin - SMOOTHED, 0) : end + SMOOTHED] = False
+        if end - begin >= LONG_GAP:
+            inner[max(begin - SMOOTHING_REACH, 0) : end + SMOOTHING_REACH] = False
     return inner
 
 
-def region_of(channel: Channel) -> str:
+def winding_region(channel: Channel) -> str:
     """Return the part of a winding that a location lies in: `active` of `active_2`."""
     return channel.location.partition("_")[0]
 
@@ -336,27 +348,27 @@ def bridging_interval(stamps: Array) -> float:
     """Return the median interval of stamps; for bursts, one so long that all but 5 % of the time is bridged."""
     steps = np.diff(stamps)
     usual, span = float(np.median(steps)), float(stamps[-1] - stamps[0])
-    gaps = steps[steps > REACH * usual]
-    if len(gaps) < PAUSES or float(gaps.sum()) < BURSTS * span:
+    gaps = steps[steps > INTERPOLATION_REACH * usual]
+    if len(gaps) < FEWEST_BURST_GAPS or float(gaps.sum()) < BURST_GAP_SHARE * span:
         return usual
     ordered = np.sort(steps)
     bridged = np.cumsum(ordered)
-    return float(ordered[np.searchsorted(bridged, (1.0 - UNBRIDGED) * bridged[-1])] / REACH)
+    return float(ordered[np.searchsorted(bridged, (1.0 - UNBRIDGED_SHARE) * bridged[-1])] / INTERPOLATION_REACH)
 
 
-def jump_of(stamps: Array) -> str:
+def longest_gap_text(stamps: Array) -> str:
     """Return a text on the longest gap between stamps."""
     steps = np.diff(stamps)
     longest = int(np.argmax(steps))
     return f"its clock jumps by {steps[longest]:.6g} s after {stamps[longest] - stamps[0]:.6g} s"
 
 
-def pace(time: Array) -> float:
+def median_interval(time: Array) -> float:
     """Return the median interval of stamps; 0 for a single one."""
     return float(np.median(np.diff(time))) if len(time) > 1 else 0.0
 
 
-def near(grid: Array, stamps: Array, reach: float) -> Mask:
+def near_stamps(grid: Array, stamps: Array, reach: float) -> Mask:
     """Return the grid times with a stamp within reach on both sides."""
     next_stamp = np.searchsorted(stamps, grid)
     previous_stamp = np.clip(next_stamp - 1, 0, len(stamps) - 1)

@@ -12,22 +12,22 @@ import numpy.typing as npt
 
 from leactl.effects.contract import Signals
 from leactl.effects.hysteresis_and_lags import play
-from leactl.gap.signals.derived import averaged
+from leactl.gap.signals.derived import channel_means
 from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.signals.smoothing import smooth
 from leactl.model.nominal import DriveModel, LoadModel, Model
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-DRIVES = ("q_axis_current", "q_axis_current_reference", "torque_reference", "torque")
+DRIVE_CHANNELS = ("q_axis_current", "q_axis_current_reference", "torque_reference", "torque")
 """Channels that determine the drive of a motor better than its voltage."""
-VOLTAGE = "voltage"  # kind of all runs of a motor that is fed with a logged voltage
+VOLTAGE_KIND = "voltage"  # kind of all runs of a motor that is fed with a logged voltage
 CREEP_COUNTS = 30.0  # encoder counts a sample up to which an axis creeps
-FASTEST_CREEP = 0.15  # rad/s, speed from which the balance of a turning rotor takes a run
-CREEP_TRAVEL = 300.0  # counts of travel below which an axis is at rest
-JITTER_COUNTS = 10.0  # counts by which a hold overshoots and jitters without a reversal
-SLOW_SHARE = 0.02  # share of a run's fast speeds below which it counts as at rest
-STILL_REACH = 4.0  # samples
+FASTEST_CREEP = 0.15  # rad/s; a faster run has the balance of a turning rotor
+CREEP_TRAVEL = 300.0  # encoder counts of travel; an axis that travels less is at rest
+JITTER_COUNTS = 10.0  # encoder counts by which a hold overshoots and jitters without a reversal
+SLOW_SHARE = 0.02  # share of a run's fast speeds below which an axis counts as at rest
+STILL_REACH = 4.0  # samples, Gaussian margin around samples at rest
 
 
 def drive_of(record: Record, model: Model) -> DriveModel | None:
@@ -46,29 +46,29 @@ def load_of(record: Record, model: Model) -> LoadModel:
     return model.load.model_copy(update=run_values)
 
 
-class Fed(NamedTuple):
+class VoltageFeed(NamedTuple):
     """Torque of a voltage on a motor without a current channel."""
 
     gain: float  # N*m/V; one where the model has torques in volts
     damping: float  # N*m*s/rad, of the back-EMF
 
 
-def fed_by_voltage(record: Record, model: Model) -> Fed | None:
+def voltage_feed(record: Record, model: Model) -> VoltageFeed | None:
     """Return how a logged voltage drives a free motor; None where a current, torque or servo's reference is logged."""
     clock = record.fast
     if clock is None or record.mechanical != "free" or clock.get("q_axis_voltage") is None:
         return None
     if model.feedforward is not None:
-        return Fed(1.0, model.feedforward.kV)
-    if any(clock.get(quantity) is not None for quantity in DRIVES) or drive_of(record, model) is not None:
+        return VoltageFeed(1.0, model.feedforward.kV)
+    if any(clock.get(quantity) is not None for quantity in DRIVE_CHANNELS) or drive_of(record, model) is not None:
         return None
     if model.torque_constant is None or model.phase_resistance is None:
         return None
     gain = model.torque_constant / model.phase_resistance
-    return Fed(gain, gain * (model.back_emf_constant or model.torque_constant))
+    return VoltageFeed(gain, gain * (model.back_emf_constant or model.torque_constant))
 
 
-def complete(record: Record, s: Signals) -> None:
+def add_rig_signals(record: Record, s: Signals) -> None:
     """Add a servo's current, the torque that acts on friction, and the direction of creeping motion to the signals."""
     clock, model = record.fast, s.model
     if clock is None or s.mechanical == "locked":
@@ -78,7 +78,7 @@ def complete(record: Record, s: Signals) -> None:
     servo = drive_of(record, model)
     if servo is not None and s.current is None and s.velocity is not None:
         servo_current(clock, servo, s)
-    if (supply := fed_by_voltage(record, model)) is not None and s.velocity is not None and s.voltage is not None:
+    if (supply := voltage_feed(record, model)) is not None and s.velocity is not None and s.voltage is not None:
         s.current = None  # with a feedforward the torque of a current is unknown
         s.extra["fed"] = supply.gain * s.voltage
         s.extra["fed_emf"] = -supply.damping * s.velocity
@@ -91,10 +91,10 @@ def complete(record: Record, s: Signals) -> None:
     if model.load.type != "none" and s.current is not None and model.torque_constant is not None:
         # a gear's friction grows with the motor's torque; a released pendulum has bearing friction alone
         s.torque = model.torque_constant * s.current
-    if s.angle is not None and s.velocity is not None and s.mechanical == "free" and creeping(clock, s.velocity):
+    if s.angle is not None and s.velocity is not None and s.mechanical == "free" and is_creeping(clock, s.velocity):
         # a chain of rests needs no derivatives: its samples are not smoothed, so that fine waves keep their height
         s.angle, s.current = clock.values["angle", "test"], clock.get("q_axis_current")
-        s.sliding = s.extra["creep"] = creep_sense(s.angle, JITTER_COUNTS * clock.counts["angle", "test"])
+        s.sliding = s.extra["creep"] = creep_direction(s.angle, JITTER_COUNTS * clock.counts["angle", "test"])
 
 
 def servo_current(clock: Clocked, servo: DriveModel, s: Signals) -> None:
@@ -119,16 +119,16 @@ def servo_current(clock: Clocked, servo: DriveModel, s: Signals) -> None:
 def logged_torque(clock: Clocked, model: Model) -> Array | None:
     """Return the torque or force that a drive logs, or that of its current reference; None where it logs none."""
     for quantity in ("torque_reference", "torque"):
-        values = averaged(clock, quantity)
+        values = channel_means(clock, quantity)
         if values is not None:
             return smooth(values)
-    reference = averaged(clock, "q_axis_current_reference")
+    reference = channel_means(clock, "q_axis_current_reference")
     if reference is None or model.torque_constant is None:
         return None
     return np.asarray(model.torque_constant * smooth(reference), np.float64)
 
 
-def creeping(clock: Clocked, velocity: Array) -> bool:
+def is_creeping(clock: Clocked, velocity: Array) -> bool:
     """Return whether an axis moves by a few encoder counts a sample, too slowly for its speed to give its direction."""
     count = clock.counts.get(("angle", "test"), 0.0)
     fast = float(np.quantile(np.abs(velocity), 0.95))
@@ -136,13 +136,13 @@ def creeping(clock: Clocked, velocity: Array) -> bool:
     return slow and float(np.ptp(clock.values["angle", "test"])) > CREEP_TRAVEL * count
 
 
-def creep_sense(angle: Array, width: float) -> Array:
+def creep_direction(angle: Array, width: float) -> Array:
     """Return the direction of an angle's last move by more than `width`, -1 to 1; in between after a reversal."""
     moved = angle - angle[0]
     return np.asarray(np.clip((moved - play(moved, width)) / width, -1.0, 1.0), np.float64)
 
 
-def in_motion(s: Signals, count: float) -> Mask:
+def moving_samples(s: Signals, count: float) -> Mask:
     """Return the samples around which the axis moves in one direction, by its encoder and its own speeds."""
     assert s.velocity is not None
     if "creep" in s.extra:

@@ -9,8 +9,8 @@ from leactl.gap.signals.record import Array, Clocked, Record
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition, effect_names
 
-TOP = 0.999  # quantile of a run's speeds that counts as its highest
-TURNING = 0.1  # share of the highest speed from which a run counts as turning
+TOP_QUANTILE = 0.999  # quantile of a run's speeds that counts as its highest
+TURNING_SHARE = 0.1  # share of the highest speed from which a run counts as turning
 
 
 def scales(records: Sequence[Record], model: Model) -> dict[str, float]:
@@ -49,7 +49,7 @@ def highest_speed(records: Sequence[Record], model: Model) -> float:
     """Return the highest speed of an angle in runs with a turning shaft, else the no-load speed; zero without both."""
     reached = max(
         (
-            float(np.quantile(np.abs(np.diff(angle)), TOP)) / record.fast.interval
+            float(np.quantile(np.abs(np.diff(angle)), TOP_QUANTILE)) / record.fast.interval
             for record in records
             if record.fast is not None and record.mechanical != "locked"
             if (angle := record.fast.get("angle")) is not None
@@ -85,7 +85,7 @@ def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:
         units["housing"] = model.thermal.housing_capacitance * model.thermal.housing_ambient_resistance
     if not clocks:
         return units
-    if (travel := widest(records)) > 0.0:
+    if (travel := widest_angle_range(records)) > 0.0:
         units["travel"] = travel
     bench = model.bench
     units["sampling rate"] = 1.0 / min(clock.interval for clock in clocks)
@@ -93,10 +93,14 @@ def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     units["velocity filter"] = time_constant(bench.velocity_filter_bandwidth, units["loop"])
     units["torque filter"] = time_constant(bench.torque_filter_bandwidth, units["loop"])
     turning = [(float(clock.since_begin[-1]), speed) for clock in clocks for speed in absolute_speeds(clock)]
-    if turning and (top := max(float(np.quantile(speed, TOP)) for _, speed in turning)) > 0.0:
+    if turning and (top := max(float(np.quantile(speed, TOP_QUANTILE)) for _, speed in turning)) > 0.0:
         units["highest speed"] = top
-        units["longest run"] = max(lasting for lasting, speed in turning if np.quantile(speed, TOP) > TURNING * top)
-    currents = [highest(clock, name) for clock in clocks for name in ("q_axis_current", "q_axis_current_reference")]
+        units["longest run"] = max(
+            lasting for lasting, speed in turning if np.quantile(speed, TOP_QUANTILE) > TURNING_SHARE * top
+        )
+    currents = [
+        highest_value(clock, name) for clock in clocks for name in ("q_axis_current", "q_axis_current_reference")
+    ]
     if (top := max(currents)) > 0.0:
         units["highest current"] = top
         units["highest rate"] = top / units["loop"]
@@ -105,14 +109,14 @@ def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     return units
 
 
-def widest(records: Sequence[Record]) -> float:
+def widest_angle_range(records: Sequence[Record]) -> float:
     """Return the largest angle range of some runs [rad], zero without an angle."""
     clocks = [record.fast for record in records if record.fast is not None]
     angles = [angle for clock in clocks if (angle := clock.get("angle")) is not None]
     return max((float(np.ptp(angle)) for angle in angles), default=0.0)
 
 
-def visited(records: Sequence[Record]) -> tuple[float, float]:
+def angle_bounds(records: Sequence[Record]) -> tuple[float, float]:
     """Return the lowest and highest angle of some runs [rad]; infinite where none has an angle."""
     clocks = [record.fast for record in records if record.fast is not None]
     angles = [angle for clock in clocks if (angle := clock.get("angle")) is not None]
@@ -141,10 +145,10 @@ def currents_at_speed(clocks: Sequence[Clocked]) -> Iterator[float]:
         if reference is None:
             continue
         for speed in absolute_speeds(clock):
-            yield float(np.quantile(np.abs(reference[-len(speed) :]) * speed, TOP))
+            yield float(np.quantile(np.abs(reference[-len(speed) :]) * speed, TOP_QUANTILE))
 
 
-def highest(clock: Clocked, quantity: str) -> float:
+def highest_value(clock: Clocked, quantity: str) -> float:
     """Return the largest absolute value of a channel without outliers; zero where it is missing."""
     values = clock.get(quantity)
-    return 0.0 if values is None else float(np.quantile(np.abs(values), TOP))
+    return 0.0 if values is None else float(np.quantile(np.abs(values), TOP_QUANTILE))

@@ -18,7 +18,7 @@ from scipy.ndimage import maximum_filter1d
 from scipy.optimize import minimize_scalar
 
 from leactl.effects.hysteresis_and_lags import ramp_shares, rate_limited
-from leactl.gap.signals.derived import led, loop, moved_by_a_servo
+from leactl.gap.signals.derived import loop_response, moved_by_a_servo, with_setpoint_lead
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.stamps import TAPS, neighbour
 from leactl.gap.signals.voltage_ceiling import at_ceiling
@@ -27,17 +27,19 @@ from leactl.model.nominal import Model
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 CURRENT, REFERENCE = ("q_axis_current", "test"), ("q_axis_current_reference", "test")
-LEAP, NEAR = 0.7, 3  # bend of a leap, over the largest change within so many rows
-STEP = 0.05  # largest change of a reference in the rows next to a step, as a share of the step
-TELLING = 20.0  # size of a leap that counts, in standard deviations of the current's usual residual
-MISSED, FEWEST = 5.0, 3  # residual of a missed row in the same deviations, and fewest missed rows
-DOUBTED = 4.0  # standard deviations of the next row's weight below zero from which rows are not said to hold
-SHARE = 2e-3  # of the leaps' squares; rows that keep their setpoint miss 1e-5, every second or fourth one 0.01 to 0.1
-BENT = 1.0 / 24.0  # share of a bend over four rows by which the mean between the middle two differs from a line
-SETTLES = 8.0  # time constants of a current loop after which a leap has no influence
-RAMPS = 2.0 ** np.arange(-2.0, 8.5, 0.5)  # rows of the largest change in a drive that limits its rate, as tried
-SHORT_RAMP = 2.0  # rows of the longest ramp whose first row still shows when the ramp began
-CLOSE = 0.002  # relative tolerance of the search for the best rate
+LEAP_RATIO = 0.7  # bend of a leap over the largest change nearby
+LEAP_WINDOW = 3  # rows on either side of a bend that count as nearby
+MOST_NEIGHBOUR_CHANGE = 0.05  # largest change of a reference in the rows next to a step, as a share of the step
+LEAST_LEAP_STDS = 20.0  # size of a leap that counts, in standard deviations of the current's usual residual
+LEAST_MISS_STDS = 5.0  # residual of a missed row in the same deviations
+FEWEST_MISSES = 3  # missed rows that show a change; also followed steps that show that rows hold
+LEAST_DOUBT_STDS = 4.0  # standard deviations of the next row's weight below zero that leave it open whether rows hold
+LEAST_MISSED_SHARE = 2e-3  # of the leaps' squares; rows that hold miss 1e-5, every second or fourth one 0.01 to 0.1
+BEND_SHARE = 1.0 / 24.0  # share of a bend over four rows by which the mean between the middle two differs from a line
+SETTLING_TIME_CONSTANTS = 8.0  # time constants of a current loop after which a leap has no influence
+RAMP_ROWS = 2.0 ** np.arange(-2.0, 8.5, 0.5)  # rows that the largest change takes at the rate limits that are tried
+SHORT_RAMP_ROWS = 2.0  # rows of the longest ramp whose first row still shows when the ramp began
+RATE_TOLERANCE = 0.002  # relative tolerance of the search for the best rate
 
 
 class ReferenceFollowing(NamedTuple):
@@ -57,29 +59,31 @@ class LimitedFollowing(NamedTuple):
     ramp: float  # rows that the largest change of a reference takes
 
 
-def marked(records: Sequence[Record], model: Model) -> list[Record]:
+def mark_setpoints(records: Sequence[Record], model: Model) -> list[Record]:
     """Mark all runs of a log by whether its setpoints change between rows, or hold over a row.
 
     One run that shows a change marks all runs.
     """
     followed = [(record, following) for record in records if (following := follow(record, model)) is not None]
     followings = [following for _, following in followed]
-    leaping = [pair for pair in followed if (pair[1].leaping > TELLING).any()]
+    leaping = [pair for pair in followed if (pair[1].leaping > LEAST_LEAP_STDS).any()]
     leaps_missed = any(changes_between(following.missed, following.leaping) for following in followings)
-    next_row_evidence = against_next([following.foresight for following in followings])
-    changing = next_row_evidence > MISSED
-    if not changing and (leaps_missed or sum(int(misses(*following[:3]).sum()) for following in followings) >= FEWEST):
+    next_row_evidence = stds_against_next_row([following.foresight for following in followings])
+    changing = next_row_evidence > LEAST_MISS_STDS
+    if not changing and (
+        leaps_missed or sum(int(misses(*following[:3]).sum()) for following in followings) >= FEWEST_MISSES
+    ):
         # a rate limit explains misses as well; a long ramp cannot show whether rows hold
-        limited = at_one_rate(leaping, model)
+        limited = follow_at_common_rate(leaping, model)
         changing = leaps_missed and any(
             changes_between(following.missed, following.leaping) for following in limited.shown
         )
-        if limited.ramp <= SHORT_RAMP:
+        if limited.ramp <= SHORT_RAMP_ROWS:
             followings, leaps_missed = limited.shown, changing
     holding = any(holds(*following[:3]) for following in followings) and not any(
         misses(*following[:3]).any() for following in followings
     )
-    holding &= not leaps_missed and not changing and next_row_evidence < DOUBTED
+    holding &= not leaps_missed and not changing and next_row_evidence < LEAST_DOUBT_STDS
     return [
         replace(record, fast=replace(record.fast, setpoints_between=changing, setpoints_held=holding))
         if record.fast is not None
@@ -88,7 +92,7 @@ def marked(records: Sequence[Record], model: Model) -> list[Record]:
     ]
 
 
-def at_one_rate(followed: Sequence[tuple[Record, ReferenceFollowing]], model: Model) -> LimitedFollowing:
+def follow_at_common_rate(followed: Sequence[tuple[Record, ReferenceFollowing]], model: Model) -> LimitedFollowing:
     """Return how the currents follow under the common rate limit that fits all runs best.
 
     followed : each run, and how its current follows without a limit.
@@ -110,14 +114,14 @@ def at_one_rate(followed: Sequence[tuple[Record, ReferenceFollowing]], model: Mo
     def squares_missed(log_rows: float) -> float:
         return sum(float(np.sum(following.missed**2)) for following in followings_at(log_rows))
 
-    grid = np.log(RAMPS)
+    grid = np.log(RAMP_ROWS)
     best = int(np.argmin([squares_missed(following) for following in grid]))
     bounds = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    log_rows = float(minimize_scalar(squares_missed, bounds=bounds, options={"xatol": CLOSE}).x)
+    log_rows = float(minimize_scalar(squares_missed, bounds=bounds, options={"xatol": RATE_TOLERANCE}).x)
     return LimitedFollowing(followings_at(log_rows), math.exp(log_rows))
 
 
-def against_next(shares: Sequence[tuple[float, float]]) -> float:
+def stds_against_next_row(shares: Sequence[tuple[float, float]]) -> float:
     """Return how many standard deviations the next row's weight in the current, over all runs, is below zero.
 
     A cubic through four rows has a mean between the middle two with -1/24 of each outer one; two setpoints in an
@@ -131,15 +135,15 @@ def against_next(shares: Sequence[tuple[float, float]]) -> float:
 
 
 def holds(missed: Array, leaping: Array, steps: Mask) -> bool:
-    """Return whether the current follows every step of the reference, of at least `FEWEST` steps."""
-    enough = int(np.sum(steps & (leaping > TELLING))) >= FEWEST
+    """Return whether the current follows every step of the reference, of at least `FEWEST_MISSES` steps."""
+    enough = int(np.sum(steps & (leaping > LEAST_LEAP_STDS))) >= FEWEST_MISSES
     return enough and not bool(misses(missed, leaping, steps).any())
 
 
 def misses(missed: Array, leaping: Array, steps: Mask) -> Mask:
     """Return the steps of the reference that the current misses by more than noise and a filter explain."""
-    lost = (np.abs(missed) > MISSED) & (missed**2 > SHARE * leaping**2)
-    return np.asarray(steps & (leaping > TELLING) & lost, np.bool_)
+    lost = (np.abs(missed) > LEAST_MISS_STDS) & (missed**2 > LEAST_MISSED_SHARE * leaping**2)
+    return np.asarray(steps & (leaping > LEAST_LEAP_STDS) & lost, np.bool_)
 
 
 def changes_between(missed: Array, leaping: Array) -> bool:
@@ -147,9 +151,11 @@ def changes_between(missed: Array, leaping: Array) -> bool:
 
     missed, leaping : by row, in standard deviations of the noise.
     """
-    telling = leaping > TELLING
-    beyond = int(np.sum(np.abs(missed[telling]) > MISSED))
-    return beyond >= FEWEST and float(np.sum(missed[telling] ** 2)) > SHARE * float(np.sum(leaping[telling] ** 2))
+    telling = leaping > LEAST_LEAP_STDS
+    beyond = int(np.sum(np.abs(missed[telling]) > LEAST_MISS_STDS))
+    return beyond >= FEWEST_MISSES and float(np.sum(missed[telling] ** 2)) > LEAST_MISSED_SHARE * float(
+        np.sum(leaping[telling] ** 2)
+    )
 
 
 def follow(
@@ -169,9 +175,9 @@ def follow(
     if {CURRENT, REFERENCE} & clock.unstamped or moved_by_a_servo(clock):
         return None
     reference, current = clock.values[REFERENCE], clock.values[CURRENT]
-    led_reference, largest_change = led(reference, model.bench, clock.interval), rate * clock.interval
+    led_reference, largest_change = with_setpoint_lead(reference, model.bench, clock.interval), rate * clock.interval
     command, begin = rate_limited(led_reference, largest_change), float(led_reference[0])
-    ends, means = loop(command, bandwidth, clock.interval, begin, ramp_shares(command, largest_change, begin))
+    ends, means = loop_response(command, bandwidth, clock.interval, begin, ramp_shares(command, largest_change, begin))
     following = means if CURRENT in clock.means else ends
     used = clock.all_valid(CURRENT, REFERENCE) & ~at_ceiling(clock, model)
     used[: TAPS[-1]] = used[TAPS[0] :] = False
@@ -186,15 +192,17 @@ def follow(
         noise = float(np.median(np.abs(missed[used]))) / 0.6745
         if noise == 0.0:
             return None
-        leapt = settling(leaps(reference) > TELLING * noise, 1.0 / (2.0 * math.pi * bandwidth), clock.interval)
+        leapt = settling_rows(
+            leaps(reference) > LEAST_LEAP_STDS * noise, 1.0 / (2.0 * math.pi * bandwidth), clock.interval
+        )
         calm = used & ~leapt
-        foresight = share_of_next(sums[calm], current[calm])
+        foresight = weight_of_next_row(sums[calm], current[calm])
     return ReferenceFollowing(
         missed[used] / noise, leaps(reference)[used] / noise, steps(reference)[used], foresight, noise
     )
 
 
-def share_of_next(sums: Array, current: Array) -> tuple[float, float]:
+def weight_of_next_row(sums: Array, current: Array) -> tuple[float, float]:
     """Return the weight of the next row in a current, and its standard deviation; infinite if it is not determined.
 
     sums : the loop's answer to the reference, at each row and at its neighbours (`TAPS`).
@@ -213,9 +221,9 @@ def share_of_next(sums: Array, current: Array) -> tuple[float, float]:
 def leaps(reference: Array) -> Array:
     """Return the bend of a reference at each row, zero where a smooth wave would bend as much."""
     change = np.diff(reference)
-    largest_near = maximum_filter1d(np.abs(change), 2 * NEAR)[1:]
+    largest_near = maximum_filter1d(np.abs(change), 2 * LEAP_WINDOW)[1:]
     bends = np.abs(np.diff(change))
-    return np.concatenate([[0.0], np.where(bends > LEAP * largest_near, bends, 0.0), [0.0]])
+    return np.concatenate([[0.0], np.where(bends > LEAP_RATIO * largest_near, bends, 0.0), [0.0]])
 
 
 def steps(reference: Array) -> Mask:
@@ -225,15 +233,15 @@ def steps(reference: Array) -> Mask:
     """
     change = np.diff(reference, prepend=reference[0])
     bend = np.diff(change, append=change[-1])
-    return isolated(change) | isolated(bend)
+    return isolated_values(change) | isolated_values(bend)
 
 
-def isolated(values: Array) -> Mask:
-    """Return the mask of values far larger than their neighbours (by more than 1 / `STEP`)."""
+def isolated_values(values: Array) -> Mask:
+    """Return the mask of values far larger than their neighbours (by more than 1 / `MOST_NEIGHBOUR_CHANGE`)."""
     size = np.abs(values)
     around = np.maximum(np.roll(size, 1), np.roll(size, -1))
     around[[0, -1]] = math.inf
-    return np.asarray(around < STEP * size, np.bool_)
+    return np.asarray(around < MOST_NEIGHBOUR_CHANGE * size, np.bool_)
 
 
 def bend(values: Array) -> Array:
@@ -241,19 +249,19 @@ def bend(values: Array) -> Array:
     return neighbour(values, 1) + neighbour(values, -2) - values - neighbour(values, -1)
 
 
-def unknown_between(reference: Array, noise: float, settles: float, interval: float) -> Mask:
+def rows_with_unknown_setpoints(reference: Array, noise: float, settles: float, interval: float) -> Mask:
     """Return the rows whose current depends on the course of the setpoint inside an interval: at leaps and bends.
 
-    The rows while the loop settles are included. A curve between rows differs from a line by up to `BENT` of its bend;
-    bends below the noise do not count.
+    The rows while the loop settles are included. A curve between rows differs from a line by up to `BEND_SHARE` of its
+    bend; bends below the noise do not count.
     """
-    changing = (leaps(reference) > TELLING * noise) | (np.abs(bend(reference)) > noise / BENT)
-    return settling(changing, settles, interval)
+    changing = (leaps(reference) > LEAST_LEAP_STDS * noise) | (np.abs(bend(reference)) > noise / BEND_SHARE)
+    return settling_rows(changing, settles, interval)
 
 
-def settling(changing: Mask, settles: float, interval: float) -> Mask:
+def settling_rows(changing: Mask, settles: float, interval: float) -> Mask:
     """Return the rows from one before each change until a loop with time constant `settles` [s] has settled."""
-    rows = 3 + math.ceil(SETTLES * settles / interval)
+    rows = 3 + math.ceil(SETTLING_TIME_CONSTANTS * settles / interval)
     return np.asarray(np.convolve(changing, np.ones(rows))[1 : len(changing) + 1] > 0.5, np.bool_)
 
 

@@ -8,16 +8,16 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import upfirdn
 
 Array = npt.NDArray[np.float64]
-BASE = 2.0  # samples, standard deviation of the smoothing that every mechanical signal gets
-REACH = 4.0  # standard deviations of the Gaussian on either side
-BEYOND_NOISE = 2.0  # standard errors by which the reversal of two lines must differ from that of `senses`
-MEETING = 1.5  # samples from the apparent reversal within which the lines before and after it reach zero
-SWIFT = 4.0  # smallest speed on either side of a fast reversal, over the noise of the speed
+BASE_WIDTH = 2.0  # samples, standard deviation of the smoothing that every mechanical signal gets
+KERNEL_REACH = 4.0  # standard deviations of the Gaussian on either side
+LEAST_REVERSAL_SHIFT_STDS = 2.0  # standard errors by which a reversal of two lines differs from that of `mean_signs`
+MOST_REVERSAL_SHIFT_SAMPLES = 1.5  # samples from the apparent reversal to where the lines around it reach zero
+FAST_REVERSAL_SPEED = 4.0  # smallest speed on either side of a fast reversal, over the noise of the speed
 
 
-def smooth(values: Array, width: float = BASE) -> Array:
+def smooth(values: Array, width: float = BASE_WIDTH) -> Array:
     """Smooth values with a Gaussian of standard deviation `width` [samples]."""
-    return np.asarray(gaussian_filter1d(values, width, mode="nearest", truncate=REACH), np.float64)
+    return np.asarray(gaussian_filter1d(values, width, mode="nearest", truncate=KERNEL_REACH), np.float64)
 
 
 def slope(values: Array, interval: float) -> Array:
@@ -34,7 +34,7 @@ def speeds(angle: Array, interval: float) -> Array:
     return np.asarray(np.diff(angle, prepend=2.0 * angle[0] - angle[1]) / interval, np.float64)
 
 
-def middle(values: Array) -> Array:
+def interval_means(values: Array) -> Array:
     """Turn values at instants into means over the interval that ends at each, exact for cubics."""
     means = np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1])])
     if len(values) >= 4:
@@ -42,7 +42,7 @@ def middle(values: Array) -> Array:
     return means
 
 
-def senses(speeds: Array) -> Array:
+def mean_signs(speeds: Array) -> Array:
     """Return the mean sign of the speed, -1 to 1, over the interval that ends at each sample.
 
     In an interval with a reversal the speed is taken to change linearly.
@@ -58,16 +58,16 @@ def senses(speeds: Array) -> Array:
     return np.where(turns, distance / np.where(turns, change, 1.0), np.sign(speeds))
 
 
-def bent_senses(speeds: Array, noise: float) -> Array:
-    """Return `senses` with reversals at the zero of the lines before and after them, since friction bends the speed.
+def bent_mean_signs(speeds: Array, noise: float) -> Array:
+    """Return `mean_signs` with reversals at the zero of the lines around them, since friction bends the speed.
 
     Friction brakes before the reversal and opposes the drive after it, so that the slope changes there. Each line goes
     through two speeds next to the bend; its zero is weighted by its slope squared, which is its precision. A reversal
-    stays as `senses` has it where the zero of the lines is far away, or differs by no more than noise.
+    stays as `mean_signs` has it where the zero of the lines is far away, or differs by no more than noise.
 
     noise : standard deviation of the speeds.
     """
-    signs = senses(speeds)
+    signs = mean_signs(speeds)
     for sample in np.flatnonzero((np.abs(signs) < 1.0) & (speeds != 0.0)).tolist():
         if not 3 <= sample < len(speeds) - 2:
             continue
@@ -93,49 +93,54 @@ def bent_senses(speeds: Array, noise: float) -> Array:
         moment_error = noise * float(
             np.sqrt(np.sum(share**2 * ((1.0 + times_to_zero) ** 2 + times_to_zero**2) / slopes**2))
         )
-        even_moment = sample - 0.5 + 0.5 * float(signs[sample]) * np.sign(speed_before)  # where `senses` has it
-        if BEYOND_NOISE * moment_error < abs(moment - even_moment) and abs(moment - (sample - 0.5)) < MEETING:
+        even_moment = sample - 0.5 + 0.5 * float(signs[sample]) * np.sign(speed_before)  # where `mean_signs` has it
+        if (
+            LEAST_REVERSAL_SHIFT_STDS * moment_error < abs(moment - even_moment)
+            and abs(moment - (sample - 0.5)) < MOST_REVERSAL_SHIFT_SAMPLES
+        ):
             ends = np.arange(sample - 1, sample + 2)
             signs[ends] = np.sign(speed_before) * (2.0 * np.clip(moment - (ends - 1), 0.0, 1.0) - 1.0)
     return signs
 
 
-def sharp_senses(speeds: Array, noise: float) -> Array:
+def sharp_mean_signs(speeds: Array, noise: float) -> Array:
     """Return the mean sign of noisy speeds: of the smoothed speeds, but of the raw ones at fast reversals.
 
     Friction bends a speed at its reversal, and the smoothed speed is zero at another time. At a fast reversal noise
     hardly matters.
     """
     smoothed = smooth(speeds)
-    signs, reach = senses(smoothed), int(REACH * BASE)
+    signs, reach = mean_signs(smoothed), int(KERNEL_REACH * BASE_WIDTH)
     if len(smoothed) <= 2 * reach:
         return signs
     earlier, later = smoothed[: -2 * reach], smoothed[2 * reach :]
-    fast_reversals = (earlier * later < 0.0) & (np.minimum(np.abs(earlier), np.abs(later)) > SWIFT * noise)
+    fast_reversals = (earlier * later < 0.0) & (
+        np.minimum(np.abs(earlier), np.abs(later)) > FAST_REVERSAL_SPEED * noise
+    )
     turning = np.zeros(len(smoothed), np.bool_)
     turning[reach:-reach] = fast_reversals
-    return np.where(turning, bent_senses(speeds, noise), signs)
+    return np.where(turning, bent_mean_signs(speeds, noise), signs)
 
 
 def noise_of_acceleration(noise: float, interval: float, width: float) -> float:
     """Return the standard deviation of the second derivative of white angle noise after all smoothing.
 
-    width : samples, smoothing in addition to `BASE`.
+    width : samples, smoothing in addition to `BASE_WIDTH`.
     """
     # of the second derivative of a Gaussian: its squares add up to 3 / (8 sqrt(pi) spread^5)
-    spread = math.hypot(BASE, width)
+    spread = math.hypot(BASE_WIDTH, width)
     return noise / interval**2 * math.sqrt(3.0 / (8.0 * math.sqrt(math.pi) * spread**5))
 
 
 def kernel(width: float) -> Array:
     """Return Gaussian weights that sum to one."""
-    reach = max(int(REACH * width + 0.5), 1)
+    reach = max(int(KERNEL_REACH * width + 0.5), 1)
     offsets = np.arange(-reach, reach + 1)
     weights = np.exp(-0.5 * (offsets / width) ** 2)
     return np.asarray(weights / weights.sum(), np.float64)
 
 
-def thinned(columns: Array, width: float, step: int) -> Array:
+def smoothed_and_thinned(columns: Array, width: float, step: int) -> Array:
     """Smooth columns and keep one row in `step`, of the rows whose whole kernel lies inside."""
     if width <= 0.0:
         return columns[::step]
@@ -146,8 +151,8 @@ def thinned(columns: Array, width: float, step: int) -> Array:
     return full[begin:end]
 
 
-def thinned_index(length: int, width: float, step: int) -> npt.NDArray[np.intp]:
-    """Return the sample that each row of `thinned` is centred on."""
+def thinned_rows(length: int, width: float, step: int) -> npt.NDArray[np.intp]:
+    """Return the sample that each row of `smoothed_and_thinned` is centred on."""
     if width <= 0.0:
         return np.arange(0, length, step)
     reach = len(kernel(width)) - 1

@@ -32,7 +32,7 @@ from leactl.gap.replay.comparison import Compared
 from leactl.gap.search.confirm import transferred
 from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.regression import Candidate, Fit, Rows, residuals
-from leactl.gap.signals.effect_variables import OF_SIGNALS
+from leactl.gap.signals.effect_variables import VARIABLE_FUNCTIONS
 from leactl.gap.signals.record import Record
 from leactl.gap.verdict.where import variable_of
 from leactl.quantities import UNITS
@@ -171,7 +171,7 @@ def replayed_part(group: Sequence[tuple[Record, Compared]]) -> Part:
     )
     groups = np.concatenate([compared.block + (run << 32) for run, (_, compared) in enumerate(group)])
     values: dict[Variable, Array] = {}
-    for name in OF_SIGNALS:
+    for name in VARIABLE_FUNCTIONS:
         series = [variable_of(record, compared, name) for record, compared in group if VARIABLES[name].quantity == name]
         known = [compared for compared in series if compared is not None]
         if len(known) == len(group):
@@ -228,7 +228,7 @@ def part_of(evidence: Evidence, candidate: Candidate, indices: Sequence[int], be
     _, groups = np.unique(np.stack([runs, blocks]), axis=1, return_inverse=True)
     acts = where_it_acts(effect, groups)
     values: dict[Variable, Array] = {}
-    for variable, of_signals in OF_SIGNALS.items():
+    for variable, of_signals in VARIABLE_FUNCTIONS.items():
         series = [of_signals(rows.signals) for rows in rows_of_runs]
         if all(signal is not None for signal in series):
             pairs = zip(series, rows_of_runs, strict=True)
