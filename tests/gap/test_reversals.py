@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.equations import equations
-from leactl.gap.equations.contract import usable
+from leactl.gap.equations.contract import usable_rows
 from leactl.gap.signals.smoothing import KERNEL_REACH, thinned_rows
 from tests.gap.synthetic import INTERVAL_S, model, record
 
@@ -20,7 +20,7 @@ def rows_over(angle):
     balance, reversal = built["free_torque"], built["reversal_torque"]
     assert (balance.width, balance.step) == (reversal.width, reversal.step)
     index = thinned_rows(len(balance.left_over), balance.width, balance.step)
-    return index[usable(balance)], index[usable(reversal)], int(KERNEL_REACH * balance.width)
+    return index[usable_rows(balance)], index[usable_rows(reversal)], int(KERNEL_REACH * balance.width)
 
 
 def going(*speeds):

@@ -12,13 +12,13 @@ from leactl.gap.signals.smoothing import noise_of_acceleration, slope, smooth
 from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
-SMOOTHING_WIDTHS = (4.0, 8.0, 12.0)  # samples
-MOST_INERTIAL_NOISE = 2e-3  # of the torque that a voltage makes, root mean square
-ZERO_PRIOR = 0.1  # rad, of the angle at which a pendulum hangs straight down
+SMOOTHING_WIDTHS = (4.0, 8.0, 12.0)  # samples, tried in this order
+MOST_INERTIAL_NOISE = 2e-3  # noise of the inertial torque over the torque of the voltage, both root mean square
+ZERO_PRIOR = 0.1  # rad, prior error of the angle at which a pendulum hangs straight down
 TIMING_SAMPLES = 2.0  # samples, prior delay: reference and feedback both pass the servo's bus
 
 
-def axis(record: Record, s: Signals) -> Equation | None:
+def axis_torque(record: Record, s: Signals) -> Equation | None:
     """Return the torque balance of an axis, drive torque = J dw/dt + b w + f sgn(w) + load torque, where there is one.
 
     It replaces the balance of the bench's free rotor where the axis is driven or loaded in another way, or creeps.
@@ -29,7 +29,7 @@ def axis(record: Record, s: Signals) -> Equation | None:
     if model.rotor_inertia is None or (s.mechanical == "coupled" and model.load.type == "none"):
         return None
     load, servo = load_of(record, model), drive_of(record, model)
-    driven = drive(s)
+    driven = drive_torque(s)
     if driven is None or not (servo or s.current is None or load.type != "none" or "creep" in s.extra):
         return None
     torque, calibration, places = driven
@@ -52,19 +52,19 @@ def axis(record: Record, s: Signals) -> Equation | None:
     torque_taken = sum(resisting.values()) + swung * s.acceleration + hanging * np.sin(tilt)
     if (fed := voltage_feed(record, model)) is not None:
         damping += fed.damping
-        shared = stamp_columns("axis_torque", clock, _FED, -s.extra["fed"])
+        shared = stamp_columns("axis_torque", clock, _FEED_CHANNELS, -s.extra["fed"])
         if model.feedforward is None:
             # columns of the motion's torque, not of the voltage: else all torques would shrink together
             calibration = {"phase_resistance": torque_taken, "torque_constant": -(torque_taken + s.extra["fed_emf"])}
         else:
             calibration = {"feedforward.kV": -s.extra["fed_emf"]}
-            resisting = {IN_VOLTS[name]: column for name, column in resisting.items() if name in IN_VOLTS}
+            resisting = {VOLT_PARAMETERS[name]: column for name, column in resisting.items() if name in VOLT_PARAMETERS}
     places["drag"] = lambda c: c
     places["angle_reading"] = lambda c: _angle_error(c, s.interval, inertia + swung, damping)
     mask = moving_samples(s, clock.counts.get(("angle", "test"), 0.0))
-    mask &= clock.all_valid(*((quantity, "test") for quantity in ("angle", *_DRIVES)))
+    mask &= clock.all_valid(*((quantity, "test") for quantity in ("angle", *_DRIVE_CHANNELS)))
     if fed is not None:
-        mask &= clock.all_valid(*_FED)
+        mask &= clock.all_valid(*_FEED_CHANNELS)
     if "servo_share" in s.extra:
         share = s.extra["servo_share"]
         mask &= (share < 1e-3) | (share > 1 - 1e-3)
@@ -79,18 +79,18 @@ def axis(record: Record, s: Signals) -> Equation | None:
         places,
         calibration | resisting,
         shared=nuisance | shared,
-        width=1.0 if "creep" in s.extra else 4.0 if fed is None else even_width(clock, s, inertia + swung),
+        width=1.0 if "creep" in s.extra else 4.0 if fed is None else fed_motor_width(clock, s, inertia + swung),
         step=2 if "creep" in s.extra else 8,
     )
 
 
-IN_VOLTS = {"rotor_inertia": "feedforward.kA", "coulomb_friction": "feedforward.kS"}
+VOLT_PARAMETERS = {"rotor_inertia": "feedforward.kA", "coulomb_friction": "feedforward.kS"}
 """Parameters of a balance in newton metres, and their counterparts where torques are in volts."""
-_FED = ("q_axis_voltage", "test"), ("angle", "test"), ("velocity", "test")
-_DRIVES = ("q_axis_current", "q_axis_current_reference", "torque_reference", "angle_reference", "drive_enabled")
+_FEED_CHANNELS = ("q_axis_voltage", "test"), ("angle", "test"), ("velocity", "test")
+_DRIVE_CHANNELS = ("q_axis_current", "q_axis_current_reference", "torque_reference", "angle_reference", "drive_enabled")
 
 
-def even_width(clock: Clocked, s: Signals, inertia: float) -> float:
+def fed_motor_width(clock: Clocked, s: Signals, inertia: float) -> float:
     """Return the least smoothing [samples] at which a fed motor's acceleration noise is small; else the largest.
 
     Small is `MOST_INERTIAL_NOISE`. The noise is in the torque of inertia: where it is large, a fit lowers the inertia
@@ -104,7 +104,7 @@ def even_width(clock: Clocked, s: Signals, inertia: float) -> float:
     return SMOOTHING_WIDTHS[-1]
 
 
-def drive(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None:
+def drive_torque(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None:
     """Return the torque of the drive, its parameters' columns and the places of effects on it; None without a drive.
 
     The gain of a logged force is not fitted: runs tell only its ratio to mass and friction.
@@ -141,7 +141,7 @@ def _angle_error(column: Array, interval: float, inertia: float, damping: float)
     return -(inertia * slope(speed, interval) + damping * speed)
 
 
-def confounded(record: Record, s: Signals) -> str | None:
+def confounded_note(record: Record, s: Signals) -> str | None:
     """Return a note on parameters that a rig with one mass at one length cannot separate; None without a servo."""
     if "servo_volts" not in s.extra or s.model.load.type == "none":
         return None

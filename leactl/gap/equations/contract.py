@@ -19,9 +19,9 @@ Mask = npt.NDArray[np.bool_]
 Place = Callable[[Array], Array]
 
 FEWEST_ROWS = 20  # fewest rows of an equation that a run needs
-MEMORY = 60  # rows within which one may depend on another, by default
-TOUCHED = 1e-3  # share of a row's weight from which it touches samples
-STAMPED = 0.05  # intervals by which two channels of one sample may differ in time
+MEMORY_ROWS = 60  # rows over which residuals of an equation may be correlated, by default
+LEAST_TOUCHED_SHARE = 1e-3  # share of a row's weight from which the row depends on samples
+STAMP_TOLERANCE = 0.05  # intervals by which two channels of one sample may differ in time
 
 
 @dataclass
@@ -44,14 +44,16 @@ class Equation:
     kind: str = ""  # kind of runs whose rows are weighted together; that of the run where empty
     width: float = 4.0
     step: int = 8
-    memory: int = MEMORY  # rows within which one may depend on another
+    memory: int = MEMORY_ROWS  # rows within which one may depend on another
     around: Mask | None = None  # samples of which a row has to touch one; None where all rows count
     rough: bool = False  # whether it neglects so much that its residual cannot be judged
 
 
-def usable(equation: Equation) -> Mask:
+def usable_rows(equation: Equation) -> Mask:
     """Return the rows of an equation that touch only samples of `mask`, and at least one of `around`."""
-    rows = smoothed_and_thinned(equation.mask.astype(float), equation.width, equation.step) > 1.0 - TOUCHED
+    rows = smoothed_and_thinned(equation.mask.astype(float), equation.width, equation.step) > 1.0 - LEAST_TOUCHED_SHARE
     if equation.around is not None:
-        rows &= smoothed_and_thinned(equation.around.astype(float), equation.width, equation.step) >= TOUCHED
+        rows &= (
+            smoothed_and_thinned(equation.around.astype(float), equation.width, equation.step) >= LEAST_TOUCHED_SHARE
+        )
     return np.asarray(rows)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from leactl.effects.contract import Signals
-from leactl.gap.equations.contract import STAMPED, Equation
+from leactl.gap.equations.contract import STAMP_TOLERANCE, Equation
 from leactl.gap.signals.derived import moved_by_a_servo
 from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.gap.signals.record import Record
@@ -14,11 +14,11 @@ from leactl.gap.signals.smoothing import slope, smooth
 from leactl.gap.signals.stamps import BETWEEN_SAMPLES, TAPS, neighbour, stamp_columns
 from leactl.gap.signals.voltage_ceiling import at_ceiling
 
-SWIFT = 5.0  # standard deviations of a current's noise, by which a servo may move it between two samples
-BEGINS = 8.0  # time constants of a current loop, after which it has forgotten what was asked before the run
-BEFORE = 0.25  # of an interval, for which the setpoint before still holds: none of one setpoint, half of very many
-BUS_ZERO = 1.0 / 60.0  # of the model's bus voltage, that a supply may be set off it
-RECOVERS = 8.0  # samples around the voltage ceiling in which a current loop is still on its way back
+MOST_SERVO_STEP_STDS = 5.0  # standard deviations of a current's noise; a servo's larger step leaves rows out
+START_TIME_CONSTANTS = 8.0  # time constants of a current loop after which setpoints before the run have no influence
+PREVIOUS_SETPOINT_SHARE = 0.25  # of an interval with the previous setpoint: 0 for one setpoint, 0.5 for very many
+BUS_ZERO_PRIOR = 1.0 / 60.0  # prior error of a supply's voltage, as a share of the model's bus voltage
+RECOVERY_WIDTH = 8.0  # samples, Gaussian margin around the voltage ceiling in which a current loop still recovers
 
 
 def voltage(record: Record, s: Signals) -> Equation | None:
@@ -104,13 +104,13 @@ def current(record: Record, s: Signals) -> Equation | None:
         return None
     measured = clock.values["q_axis_current", "test"]
     mask = clock.all_valid(("q_axis_current", "test"), ("q_axis_current_reference", "test"))
-    mask &= smooth(at_ceiling(clock, s.model).astype(float), RECOVERS) < 1e-3
+    mask &= smooth(at_ceiling(clock, s.model).astype(float), RECOVERY_WIDTH) < 1e-3
     settles = 1.0 / (2.0 * math.pi * (s.model.bench.current_loop_bandwidth or math.inf))
-    mask &= s.time - s.time[0] > BEGINS * settles + TAPS[-1] * s.interval
+    mask &= s.time - s.time[0] > START_TIME_CONSTANTS * settles + TAPS[-1] * s.interval
     change = slope(s.following, s.interval)
-    nuisance = {"current_stamp_s": (-change, STAMPED * s.interval)}
+    nuisance = {"current_stamp_s": (-change, STAMP_TOLERANCE * s.interval)}
     if moved_by_a_servo(clock):
-        swift = np.abs(np.diff(s.following, prepend=s.following[0])) > SWIFT * noise_of(measured)
+        swift = np.abs(np.diff(s.following, prepend=s.following[0])) > MOST_SERVO_STEP_STDS * noise_of(measured)
         mask &= ~settling_rows(swift, settles, s.interval)
     channels = [(f"q_axis_current{suffix}", "test") for suffix in ("", "_reference")]
     on_time = not any(channel in clock.unstamped for channel in channels)  # else stamps are late by more than this
@@ -124,8 +124,8 @@ def current(record: Record, s: Signals) -> Equation | None:
     if clock.setpoints_between and not moved_by_a_servo(clock):
         earlier = neighbour(s.following, -1) - s.following
         bends = bend(s.following)
-        following = s.following + BEFORE * earlier - BEND_SHARE * bends
-        shared |= {"setpoint_before": (earlier, BEFORE), "setpoint_bend": (bends, BEND_SHARE)}
+        following = s.following + PREVIOUS_SETPOINT_SHARE * earlier - BEND_SHARE * bends
+        shared |= {"setpoint_before": (earlier, PREVIOUS_SETPOINT_SHARE), "setpoint_bend": (bends, BEND_SHARE)}
         reference = clock.values["q_axis_current_reference", "test"]
         mask &= ~rows_with_unknown_setpoints(reference, noise_of(measured), settles, s.interval)
     return Equation(
@@ -159,7 +159,7 @@ def bus(record: Record, s: Signals) -> Equation | None:
         record.fast.all_valid(("bus_voltage", "bench")),
         {"bus_voltage": lambda c: c},
         {},
-        nuisance={"bus_zero": (np.ones_like(s.time), BUS_ZERO * s.model.bench.bus_voltage)},
+        nuisance={"bus_zero": (np.ones_like(s.time), BUS_ZERO_PRIOR * s.model.bench.bus_voltage)},
         width=8.0,
         step=16,
     )

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.contract import Signals
-from leactl.gap.equations.contract import MEMORY, STAMPED, Equation, Mask, Place
+from leactl.gap.equations.contract import MEMORY_ROWS, STAMP_TOLERANCE, Equation, Mask, Place
 from leactl.gap.equations.motion import load_lag
 from leactl.gap.signals.derived import channel_means, locked_rotor_torque
 from leactl.gap.signals.noise import noise_of
@@ -25,33 +25,37 @@ from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
 SLOW_SHARE = 0.005  # share of a run's highest speed below which a shaft counts as slow: it may be at rest
-SWING_REACH = 8.0  # samples
-SLOW_REACH = 4.0  # samples, Gaussian margin around slow ones on a coupled shaft, whose twist reverses there, too
+SWING_REACH = 8.0  # samples, Gaussian width over which a locked rotor's rate of torque is averaged
+SLOW_REACH = 4.0  # samples, Gaussian margin around slow samples of a coupled shaft, whose twist reverses there, too
 FREE_SLOW_REACH = 0.5  # the same for a free rotor, which needs almost none
-SHARPER, EVENED = ((1.0, 2), (2.0, 4)), (4.0, 8)  # samples, smoothing of rows and their distance
-QUIET = 0.01  # largest noise of an acceleration, relative to its size, for less smoothing
-LOUD = 0.1  # relative noise from which samples are too close: a fit lowers the inertia by the square of that share
+FINER_ROWS, USUAL_ROWS = ((1.0, 2), (2.0, 4)), (4.0, 8)  # samples: smoothing of rows, and distance between rows
+MOST_FINE_ROW_NOISE = 0.01  # largest noise of an acceleration, relative to its size, at which finer rows are used
+MOST_ACCELERATION_NOISE = 0.1  # relative; a fit lowers the inertia by its square, so a lower rate is used beyond it
 STICKING_PRIOR = 0.5  # of nominal Coulomb friction
 
 
-def moving(s: Signals, velocity: Array, reach: float) -> Mask:
+def turning_samples(s: Signals, velocity: Array, reach: float) -> Mask:
     """Return the samples around which the shaft turns in one direction and is not slow."""
-    return np.asarray(smooth(slow(s, velocity).astype(float), reach) < 1e-3)
+    return np.asarray(smooth(possibly_resting_samples(s, velocity).astype(float), reach) < 1e-3)
 
 
-def slow(s: Signals, velocity: Array) -> Mask:
+def possibly_resting_samples(s: Signals, velocity: Array) -> Mask:
     """Return the samples in which the shaft may be at rest."""
     slowest = max(0.5 * s.count / s.interval, SLOW_SHARE * highest_speed(s, velocity))
     return np.asarray(np.abs(velocity) <= slowest)
 
 
-def resting(s: Signals, velocity: Array) -> Mask:
+def samples_near_rest(s: Signals, velocity: Array) -> Mask:
     """Return the samples whose smoothing reaches a slow stretch that is no quick reversal.
 
     At rest friction equals the driving torque, and is unknown. A stretch is no quick reversal where the shaft continues
     in the same direction, where it is longer than the smoothing reaches, and at either end of a run.
     """
-    slow_samples, rests, reach = slow(s, velocity), np.zeros(len(velocity)), KERNEL_REACH * BASE_WIDTH
+    slow_samples, rests, reach = (
+        possibly_resting_samples(s, velocity),
+        np.zeros(len(velocity)),
+        KERNEL_REACH * BASE_WIDTH,
+    )
     edges = np.flatnonzero(np.diff(slow_samples.astype(np.int8), prepend=0, append=0))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         turns_back = begin > 0 and end < len(slow_samples) and velocity[begin - 1] * velocity[end] < 0.0
@@ -64,7 +68,7 @@ def highest_speed(s: Signals, velocity: Array) -> float:
     return max(s.fastest, float(np.quantile(np.abs(velocity), 0.999)))
 
 
-def swings(s: Signals, change: Array) -> Mask:
+def sliding_samples(s: Signals, change: Array) -> Mask:
     """Return the samples around which a locked rotor slides.
 
     Its torque changes there by its friction within its mechanical time constant.
@@ -74,21 +78,21 @@ def swings(s: Signals, change: Array) -> Mask:
     return np.asarray(smooth(np.abs(change), SWING_REACH) > rate)
 
 
-def free(record: Record, s: Signals) -> Equation | None:
+def free_torque(record: Record, s: Signals) -> Equation | None:
     """Free rotor: K i = J dw/dt + b w + f sgn(w)."""
     if s.mechanical != "free" or record.fast is None:
         return None
-    parts = rotor(s)
+    parts = rotor_torques(s)
     if parts is None or s.velocity is None:
         return None
     drive, calibration, places = parts
     left_over = drive - sum(c for name, c in calibration.items() if name != "torque_constant")
     calibration["torque_constant"] = -drive
     keys = ("q_axis_current", "test"), ("angle", "test")
-    mask = moving(s, s.velocity, FREE_SLOW_REACH) & s.resolved & record.fast.all_valid(*keys)
-    mask &= ~resting(s, s.velocity)
+    mask = turning_samples(s, s.velocity, FREE_SLOW_REACH) & s.resolved & record.fast.all_valid(*keys)
+    mask &= ~samples_near_rest(s, s.velocity)
     shared = stamp_columns("free_torque", record.fast, keys, -drive)
-    stamp = {"torque_stamp_s": (slope(drive, s.interval), STAMPED * s.interval / record.fast.decimation)}
+    stamp = {"torque_stamp_s": (slope(drive, s.interval), STAMP_TOLERANCE * s.interval / record.fast.decimation)}
     stamp |= between_instants(record.fast, s)
     width, step = row_smoothing(record.fast, s, mask)
     return Equation(
@@ -106,11 +110,11 @@ def free(record: Record, s: Signals) -> Equation | None:
         rounding=noise_of_counts(s, width),
         width=width,
         step=step,
-        memory=MEMORY * EVENED[1] // step,  # as long in closer rows
+        memory=MEMORY_ROWS * USUAL_ROWS[1] // step,  # as long in closer rows
     )
 
 
-def reversals(record: Record, balance: Equation) -> Equation:
+def reversal_torque(record: Record, balance: Equation) -> Equation:
     """Return the balance in the rows around slow reversals, which the balance of a turning rotor leaves out.
 
     Only there friction that builds up over an angle shows. Its course differs between bearings, so that a residual of
@@ -118,9 +122,9 @@ def reversals(record: Record, balance: Equation) -> Equation:
     """
     s = balance.signals
     assert record.fast is not None and s.velocity is not None
-    rests = resting(s, s.velocity)
+    rests = samples_near_rest(s, s.velocity)
     known = record.fast.all_valid(("q_axis_current", "test"), ("angle", "test"))
-    mask, around = s.resolved & known & ~rests, slow(s, s.velocity) & ~rests
+    mask, around = s.resolved & known & ~rests, possibly_resting_samples(s, s.velocity) & ~rests
     return replace(balance, name="reversal_torque", mask=mask, around=around, rough=True)
 
 
@@ -147,7 +151,7 @@ def between_instants(clock: Clocked, s: Signals) -> dict[str, tuple[Array, float
     return {"between_instants_A": ((s.model.torque_constant or 0.0) / usual * smooth(rate), noise_of(current))}
 
 
-def is_loud(record: Record, equation: Equation) -> bool:
+def is_noisy(record: Record, equation: Equation) -> bool:
     """Return whether the angle's noise is a large part of the smoothed acceleration, or no row is usable.
 
     The noise is in the column of the inertia as well and biases its fit towards zero by its share of the column's
@@ -160,9 +164,9 @@ def is_loud(record: Record, equation: Equation) -> bool:
         return False
     if not equation.mask.any():
         return True
-    noise = noise_of_acceleration(noise_of(angle), s.interval, EVENED[0])
-    power = float(np.mean(smooth(s.acceleration, EVENED[0])[equation.mask] ** 2))
-    return (1.0 + LOUD**2) * noise**2 > LOUD**2 * power
+    noise = noise_of_acceleration(noise_of(angle), s.interval, USUAL_ROWS[0])
+    power = float(np.mean(smooth(s.acceleration, USUAL_ROWS[0])[equation.mask] ** 2))
+    return (1.0 + MOST_ACCELERATION_NOISE**2) * noise**2 > MOST_ACCELERATION_NOISE**2 * power
 
 
 def row_smoothing(clock: Clocked, s: Signals, mask: Mask) -> tuple[float, int]:
@@ -173,19 +177,19 @@ def row_smoothing(clock: Clocked, s: Signals, mask: Mask) -> tuple[float, int]:
     assert s.acceleration is not None
     angle = clock.get("angle")
     if angle is None or not mask.any():
-        return EVENED
-    noise, quiet = noise_of(angle), QUIET * float(np.sqrt(np.mean(s.acceleration[mask] ** 2)))
-    for width, step in SHARPER:
+        return USUAL_ROWS
+    noise, quiet = noise_of(angle), MOST_FINE_ROW_NOISE * float(np.sqrt(np.mean(s.acceleration[mask] ** 2)))
+    for width, step in FINER_ROWS:
         if noise_of_acceleration(noise, s.interval, width) <= quiet:
             return width, step
-    return EVENED
+    return USUAL_ROWS
 
 
-def coupled(record: Record, s: Signals) -> Equation | None:
+def coupled_torque(record: Record, s: Signals) -> Equation | None:
     """Torque channel of two coupled actuators: reading = K i - J dw/dt - b w - f sgn(w), filtered."""
     if s.mechanical != "coupled" or record.fast is None or s.velocity is None:
         return None
-    parts, reading = rotor(s), torque_reading(record.fast, s, 0.0)
+    parts, reading = rotor_torques(s), torque_reading(record.fast, s, 0.0)
     if parts is None or reading is None:
         return None
     drive, resisting, places_against = parts
@@ -195,18 +199,18 @@ def coupled(record: Record, s: Signals) -> Equation | None:
     places = {name: _negative(effect_place) for name, effect_place in places_against.items()}
     places["torque_reading"] = lambda c: c
     keys = ("torque", "test"), ("q_axis_current", "test"), ("angle", "test")
-    mask = moving(s, s.velocity, SLOW_REACH) & s.resolved & record.fast.all_valid(*keys)
+    mask = turning_samples(s, s.velocity, SLOW_REACH) & s.resolved & record.fast.all_valid(*keys)
     shared = stamp_columns("coupled_torque", record.fast, keys, drive)
     shared |= stamp_columns("torque_channel", record.fast, keys, reading)
     return Equation("coupled_torque", "torque", "test", "N*m", left_over, s, mask, places, calibration, shared=shared)
 
 
-def both(record: Record, s: Signals) -> Equation | None:
+def both_torque(record: Record, s: Signals) -> Equation | None:
     """Both coupled actuators together, without a torque channel: K (i + i_load) = resisting torque of both rotors."""
     clock = record.fast
     if s.mechanical != "coupled" or clock is None or s.velocity is None:
         return None
-    parts, load_current = rotor(s), channel_means(clock, "q_axis_current", "load")
+    parts, load_current = rotor_torques(s), channel_means(clock, "q_axis_current", "load")
     load_velocity = clock.get("velocity", "load")
     if parts is None or load_current is None or load_velocity is None:
         return None
@@ -228,7 +232,12 @@ def both(record: Record, s: Signals) -> Equation | None:
     calibration["load.viscous_damping"] = damping
     calibration["load.coulomb_friction"] = friction
     keys = ("q_axis_current", "test"), ("q_axis_current", "load"), ("velocity", "load"), ("angle", "test")
-    mask = moving(s, s.velocity, SLOW_REACH) & moving(s, measured, SLOW_REACH) & s.resolved & clock.all_valid(*keys)
+    mask = (
+        turning_samples(s, s.velocity, SLOW_REACH)
+        & turning_samples(s, measured, SLOW_REACH)
+        & s.resolved
+        & clock.all_valid(*keys)
+    )
     return Equation(
         "both_torque",
         "velocity",
@@ -244,12 +253,12 @@ def both(record: Record, s: Signals) -> Equation | None:
     )
 
 
-def held_still(record: Record, s: Signals) -> Equation | None:
+def locked_torque(record: Record, s: Signals) -> Equation | None:
     """Torque channel of a locked rotor while its current is constant: friction holds the state after the last move."""
     return locked(record, s, "locked_torque", swinging=False)
 
 
-def swung(record: Record, s: Signals) -> Equation | None:
+def swung_torque(record: Record, s: Signals) -> Equation | None:
     """Torque channel of a locked rotor while its current changes: the same balance, with the rotor sliding."""
     return locked(record, s, "swung_torque", swinging=True)
 
@@ -263,12 +272,14 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
     reading = torque_reading(record.fast, s, inertia)
     if reading is None or model.torque_constant is None:
         return None
-    constant_column, places = carried(s, s.torque, model.torque_constant)
+    constant_column, places = derivative_by_constant(s, s.torque, model.torque_constant)
     places["torque_reading"] = lambda c: c
-    nuisance = {f"sticking_{name}": (sticking(s, s.torque), STICKING_PRIOR)} if model.coulomb_friction else {}
+    nuisance = (
+        {f"sticking_{name}": (derivative_by_friction(s, s.torque), STICKING_PRIOR)} if model.coulomb_friction else {}
+    )
     change = slope(s.torque, s.interval)
     keys = ("torque", "test"), ("q_axis_current", "test")
-    mask = record.fast.all_valid(*keys) & (swings(s, change) == swinging)
+    mask = record.fast.all_valid(*keys) & (sliding_samples(s, change) == swinging)
     return Equation(
         name,
         "torque",
@@ -289,7 +300,7 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
     )
 
 
-def carried(s: Signals, torque: Array, constant: float) -> tuple[Array, dict[str, Place]]:
+def derivative_by_constant(s: Signals, torque: Array, constant: float) -> tuple[Array, dict[str, Place]]:
     """Return the derivative of a locked rotor's torque with the relative torque constant, and the places of effects."""
     assert s.current is not None
     drive, relative_change = constant * s.current, (locked_rotor_torque(s, 1.02, 1.0) - torque) / 0.02
@@ -301,12 +312,12 @@ def carried(s: Signals, torque: Array, constant: float) -> tuple[Array, dict[str
     }
 
 
-def sticking(s: Signals, torque: Array) -> Array:
+def derivative_by_friction(s: Signals, torque: Array) -> Array:
     """Return the derivative of a locked rotor's torque with the relative Coulomb friction."""
     return (locked_rotor_torque(s, 1.0, 1.05) - torque) / 0.05
 
 
-def rotor(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None:
+def rotor_torques(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None:
     """Return drive torque, resisting torques by parameter, and the places of effects as resisting torques."""
     model = s.model
     if s.current is None or s.velocity is None or s.acceleration is None or s.sliding is None:

@@ -6,13 +6,13 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.contract import Signals
-from leactl.gap.equations.contract import STAMPED, Equation
+from leactl.gap.equations.contract import STAMP_TOLERANCE, Equation
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.smoothing import BASE_WIDTH, interval_means, slope, smooth
 from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
-VELOCITY_WIDTH = 4.0
+VELOCITY_WIDTH = 4.0  # samples, smoothing of the rows
 
 
 def velocity(record: Record, s: Signals) -> Equation | None:
@@ -29,20 +29,20 @@ def velocity(record: Record, s: Signals) -> Equation | None:
         "velocity",
         "test",
         "rad/s",
-        restored(interval_means(measured), filter_constant(s), s.interval) - s.velocity,
+        smooth_without_lag(interval_means(measured), filter_constant(s), s.interval) - s.velocity,
         s,
         clock.all_valid(*keys) & s.unleapt & s.resolved,
         {"velocity_reading": lambda c: c},
         {},
-        {"velocity_stamp_s": (-slope(s.velocity, s.interval), STAMPED * s.interval)},
+        {"velocity_stamp_s": (-slope(s.velocity, s.interval), STAMP_TOLERANCE * s.interval)},
         stamp_columns("velocity", clock, keys, s.velocity),
-        rounding=rounded_speed(s),
+        rounding=speed_noise_of_counts(s),
         width=VELOCITY_WIDTH,
         step=8,
     )
 
 
-def rounded_speed(s: Signals) -> float:
+def speed_noise_of_counts(s: Signals) -> float:
     """Return the standard deviation [rad/s] of a row of speed due to the counts of the encoder."""
     spread = math.hypot(BASE_WIDTH, VELOCITY_WIDTH)
     return s.count / math.sqrt(12.0) / s.interval * math.sqrt(1.0 / (4.0 * math.sqrt(math.pi) * spread**3))
@@ -58,7 +58,7 @@ def load_lag(s: Signals) -> float:
     return max(s.interval, filter_constant(s))
 
 
-def restored(values: Array, time_constant: float, interval: float) -> Array:
+def smooth_without_lag(values: Array, time_constant: float, interval: float) -> Array:
     """Smooth values and invert a first-order lag."""
     even = smooth(values)
     return even + time_constant * slope(even, interval)

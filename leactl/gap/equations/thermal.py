@@ -31,7 +31,7 @@ def temperatures(record: Record, s: Signals) -> list[Equation]:
     zeros = np.zeros_like(heat)
     driven = network.temperatures(heat, ambient, (float(winding[0]), float(housing[0])))
     flows = (winding - ambient) / wa, (winding - housing) / wh, (housing - ambient) / ha
-    to_ambient, to_housing, to_air = (onwards(flow) for flow in flows)
+    to_ambient, to_housing, to_air = (means_after_samples(flow) for flow in flows)
     in_winding, in_housing = (np.diff(node, append=node[-1]) / s.interval for node in (winding, housing))
     columns = {
         "thermal.winding_ambient_resistance": network.answer(to_ambient, zeros),
@@ -73,7 +73,7 @@ def temperatures(record: Record, s: Signals) -> list[Equation]:
     return balances
 
 
-def onwards(values: Array) -> Array:
+def means_after_samples(values: Array) -> Array:
     """Return means over the interval that begins at each sample, in which the network holds its heat."""
     return np.concatenate([0.5 * (values[1:] + values[:-1]), values[-1:]])
 

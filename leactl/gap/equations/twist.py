@@ -12,8 +12,15 @@ import numpy.typing as npt
 
 from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import Equation, Place
-from leactl.gap.equations.mechanical import SLOW_REACH, STICKING_PRIOR, carried, moving, rotor, sticking
-from leactl.gap.equations.motion import filter_constant, load_lag, restored
+from leactl.gap.equations.mechanical import (
+    SLOW_REACH,
+    STICKING_PRIOR,
+    derivative_by_constant,
+    derivative_by_friction,
+    rotor_torques,
+    turning_samples,
+)
+from leactl.gap.equations.motion import filter_constant, load_lag, smooth_without_lag
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.smoothing import slope, smooth
 from leactl.gap.signals.stamps import stamp_columns
@@ -21,12 +28,12 @@ from leactl.gap.signals.stamps import stamp_columns
 Array = npt.NDArray[np.float64]
 
 
-def coupled(record: Record, s: Signals) -> Equation | None:
+def shaft_twist(record: Record, s: Signals) -> Equation | None:
     """Speed of one end against the other = change of the twist, torque / k."""
     clock, stiffness = record.fast, s.model.bench.shaft_stiffness
     if clock is None or s.mechanical != "coupled" or stiffness is None:
         return None
-    load, test_velocity, parts = clock.get("velocity", "load"), clock.get("velocity"), rotor(s)
+    load, test_velocity, parts = clock.get("velocity", "load"), clock.get("velocity"), rotor_torques(s)
     if load is None or test_velocity is None or parts is None or s.torque is None or s.velocity is None:
         return None
     drive, resisting, places_against = parts
@@ -50,9 +57,9 @@ def coupled(record: Record, s: Signals) -> Equation | None:
         "velocity",
         "load",
         "rad/s",
-        restored(test_velocity, filter_constant(s), s.interval) - smooth(load) - twisting(s.torque),
+        smooth_without_lag(test_velocity, filter_constant(s), s.interval) - smooth(load) - twisting(s.torque),
         s,
-        clock.all_valid(*keys) & s.resolved & moving(s, s.velocity, SLOW_REACH),
+        clock.all_valid(*keys) & s.resolved & turning_samples(s, s.velocity, SLOW_REACH),
         places,
         calibration,
         {"load_velocity_lag_s": (slope(smooth(load), s.interval), load_lag(s))},
@@ -62,7 +69,7 @@ def coupled(record: Record, s: Signals) -> Equation | None:
     )
 
 
-def locked(record: Record, s: Signals) -> Equation | None:
+def lock_angle(record: Record, s: Signals) -> Equation | None:
     """Angle of a locked rotor = where it was locked + torque / k.
 
     Samples whose torque does not exceed the Coulomb friction are left out: friction alone may hold the rotor there.
@@ -74,7 +81,7 @@ def locked(record: Record, s: Signals) -> Equation | None:
     if angle is None:
         return None
     twist = s.torque / stiffness
-    constant_column, on_torque = carried(s, s.torque, constant)
+    constant_column, on_torque = derivative_by_constant(s, s.torque, constant)
 
     def twisted(place: Place) -> Place:
         return lambda c: place(c) / stiffness
@@ -83,7 +90,7 @@ def locked(record: Record, s: Signals) -> Equation | None:
     places["twist"] = lambda c: c
     nuisance = {"lock_angle": (np.ones_like(twist), 0.1)}
     if s.model.coulomb_friction:
-        nuisance["sticking_lock"] = (sticking(s, s.torque) / stiffness, STICKING_PRIOR)
+        nuisance["sticking_lock"] = (derivative_by_friction(s, s.torque) / stiffness, STICKING_PRIOR)
     keys, count = (("q_axis_current", "test"), ("angle", "test")), clock.counts.get(("angle", "test"), 0.0)
     return Equation(
         "lock",

@@ -15,7 +15,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from leactl.effects import library
 from leactl.effects.contract import Form
 from leactl.gap.equations import Equation, equations
-from leactl.gap.equations.contract import MEMORY
+from leactl.gap.equations.contract import MEMORY_ROWS
 from leactl.gap.search.angle_periodogram import strongest
 from leactl.gap.search.regression import (
     Candidate,
@@ -340,7 +340,7 @@ class Evidence:
         return name[3]
 
 
-def rows_per_independent(residual: Array, memory: int = MEMORY) -> float:
+def rows_per_independent(residual: Array, memory: int = MEMORY_ROWS) -> float:
     """Return the number of rows per independent row, from their autocorrelation (Bartlett, 1946).
 
     memory : rows within which one may depend on another.

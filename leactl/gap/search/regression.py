@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from leactl.effects import library
 from leactl.effects.contract import Form, Signals, Terms
-from leactl.gap.equations.contract import FEWEST_ROWS, MEMORY, Equation, usable
+from leactl.gap.equations.contract import FEWEST_ROWS, MEMORY_ROWS, Equation, usable_rows
 from leactl.gap.signals.smoothing import smoothed_and_thinned, thinned_rows
 
 Array = npt.NDArray[np.float64]
@@ -47,7 +47,7 @@ class Rows:
     levels: float = math.inf  # number of levels of a rounded channel
     rounding: float = 0.0  # standard deviation that the rounding of a channel gives a row
     width: float = 0.0  # samples, smoothing of the rows
-    memory: int = MEMORY  # rows within which one may depend on another
+    memory: int = MEMORY_ROWS  # rows within which one may depend on another
     rough: bool = False  # whether the equation is so rough that its residual cannot be judged
     gram: Array | None = None  # over [left_over, columns]; None where not yet computed
 
@@ -65,7 +65,7 @@ def rows_of(run: str, kind: str, equation: Equation, effects: dict[Column, Array
 
     effects : columns of effects, thinned already.
     """
-    mask = usable(equation)
+    mask = usable_rows(equation)
     if int(mask.sum()) < FEWEST_ROWS:
         return None
     names: list[Column] = []
@@ -122,7 +122,7 @@ def effect_columns(equations: Sequence[Equation], candidates: Sequence[Candidate
     A form's terms are computed once for all equations on one clock and thinned at once: all columns at the full rate
     would take far more memory than the runs.
     """
-    masks = [usable(equation) for equation in equations]
+    masks = [usable_rows(equation) for equation in equations]
     with_rows = [k for k, mask in enumerate(masks) if int(mask.sum()) >= FEWEST_ROWS]
     clocks = {id(equations[k].signals): equations[k].signals for k in with_rows}
     by_equation: list[dict[Column, Array]] = [{} for _ in equations]
