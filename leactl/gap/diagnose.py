@@ -17,10 +17,16 @@ from leactl.gap.search import effect_sets
 from leactl.gap.search.confirm import HeldOutGain, held_out_gains
 from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.effect_sets import EffectSet, search
-from leactl.gap.search.parameters import about, calibrated, effect_parameters, with_calibration, with_effects
+from leactl.gap.search.parameters import (
+    calibrated_parameters,
+    effect_parameters,
+    next_linearisation,
+    with_calibration,
+    with_effects,
+)
 from leactl.gap.search.regression import Candidate, Fit, Rows
-from leactl.gap.search.ringing import Line, ringing
-from leactl.gap.search.stamp_fit import LATEST
+from leactl.gap.search.ringing import Line, highest_lines
+from leactl.gap.search.stamp_fit import MOST_STAMP_DELAY
 from leactl.gap.servo import answer as servo_answer
 from leactl.gap.servo.effect_sets import fit_effect_sets
 from leactl.gap.servo.runs import runs_at_common_rate
@@ -249,7 +255,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     unrest_by_channel = unrest(unrest_by_run)
     surprise = unexplained(unrest_by_channel, lines)
     causes = causes_of(evidence, searched, judged)
-    calibrated_alone = calibrated(evidence, evidence.settle([]))
+    calibrated_alone = calibrated_parameters(evidence, evidence.settle([]))
     members = {item.finding.effect for item in judged}
     refit: Refit = partial(fitted_again, evidence, searched)
     if servo_runs:
@@ -330,7 +336,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
                 + set_notes
                 + applied.notes
                 + notes
-                + stamp_notes(stamps, evidence.on_time, LATEST)
+                + stamp_notes(stamps, evidence.on_time, MOST_STAMP_DELAY)
                 + setpoint_notes(case.fitted)
                 + beyond_null(evidence, null)
                 + shrunk.notes
@@ -393,14 +399,14 @@ def model_with(model: Model, evidence: Evidence, hypothesis: Sequence[Candidate]
 
 def among_sound_noise(evidence: Evidence, result: EffectSet) -> EffectSet:
     """Return a set whose squares taken and left are weighted by a sound machine's noise where that is lower."""
-    squares_taken, squares_left = effect_sets.taken_and_left(evidence, result.hypothesis, sound=True)
+    squares_taken, squares_left = effect_sets.squares_taken_and_left(evidence, result.hypothesis, sound=True)
     return replace(result, taken=squares_taken, left=squares_left)
 
 
 def left_over(evidence: Evidence, result: EffectSet) -> tuple[RunRatios, dict[Channel, Line]]:
     """Return the unrest of each channel by run under a set, and the lines in the spectra of its residuals."""
     searched_rows = [not left_by_form(result, index) for index in range(len(evidence.stack.rows))]
-    lines = ringing(evidence, evidence.settle(result.hypothesis), searched_rows)
+    lines = highest_lines(evidence, evidence.settle(result.hypothesis), searched_rows)
     return unrest_of_runs(evidence, result), lines
 
 
@@ -460,7 +466,7 @@ def outweighed(
 def may_leave(effect: str) -> float:
     """Return the residual an effect may leave, as a share of the squares it explains; more if its columns are loose."""
     explains = library()[effect].explains
-    return (1.0 - explains) / explains if explains < effect_sets.LOOSE else OUTWEIGHED
+    return (1.0 - explains) / explains if explains < effect_sets.LOOSE_SHARE else OUTWEIGHED
 
 
 def touched(rows: Rows, hypothesis: Sequence[Candidate]) -> bool:
@@ -488,17 +494,17 @@ def fitted_to_the_end(
     flows are 4 % off after the first fit; with an inertia 15 % off, so is an eccentricity.
     """
     fit = evidence.settle(hypothesis)
-    parameters = calibrated(evidence, fit)
+    parameters = calibrated_parameters(evidence, fit)
     nominal = {item.parameter: item.nominal for item in parameters}
     for _ in range(STEPS):
-        hypothesis = [about(evidence, fit, candidate) for candidate in hypothesis]
+        hypothesis = [next_linearisation(evidence, fit, candidate) for candidate in hypothesis]
         # the ambient's offset stays at the model's value: its prior is in kelvin around that
         ratios = [item for item in parameters if item.parameter != "ambient_offset"]
         evidence = evidence.on(evidence.records, hypothesis, with_calibration(evidence.model, ratios))
         evidence.settle(hypothesis)  # forms are compared under the noise of this fit
         hypothesis = effect_sets.refine(evidence, hypothesis, shapes=False)
         fit = evidence.settle(hypothesis)
-        parameters = tuple(replace(p, nominal=nominal[p.parameter]) for p in calibrated(evidence, fit))
+        parameters = tuple(replace(p, nominal=nominal[p.parameter]) for p in calibrated_parameters(evidence, fit))
     return {candidate[0]: effect_parameters(evidence, fit, candidate) for candidate in hypothesis}, parameters
 
 

@@ -24,29 +24,29 @@ from leactl.gap.replay.bench_of_model import plant_of
 from leactl.gap.replay.drive import over_samples
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.readings import angle, current, velocity
-from leactl.gap.search.effect_regression import MOST_MOVED, PINNED, PRIORS, Evidence, Null, error_of
+from leactl.gap.search.effect_regression import MOST_PRIOR_CHANGE, PINNED_PRIOR, PRIORS, Evidence, Null, bias_error
 from leactl.gap.search.effect_sets import (
-    ENTRY,
+    ENTRY_HEIGHT,
     EffectSet,
     FurtherEffect,
-    by_themselves,
     describe,
     exchange,
-    finding,
+    fit_each_alone,
+    fit_further_effect,
     refine,
-    sizes_by_chance,
+    sizes_beyond_noise,
     standard_errors,
 )
 from leactl.gap.search.parameters import (
     UNITS,
-    calibrated,
+    calibrated_parameters,
     effect_parameters,
     nominal_value,
     with_calibration,
     with_effects,
 )
 from leactl.gap.search.regression import Candidate, Fit
-from leactl.gap.search.ringing import ringing
+from leactl.gap.search.ringing import highest_lines
 from leactl.gap.signals.derived import moved_by_a_servo
 from leactl.gap.signals.noise import coloured_noise, quantum_of
 from leactl.gap.signals.record import WINDING, Clocked, Key, Record
@@ -144,7 +144,7 @@ def set_floors(evidence: Evidence, null: Null) -> None:
     errors. The size that all machines have in common stays.
     """
     evidence.compare_with(null)
-    for effect, items in by_themselves(evidence).items():
+    for effect, items in fit_each_alone(evidence).items():
         if not library()[effect].shaped or (sizes := null.floors.get(effect)) is None:
             continue
         pairs = zip(sizes, standard_errors(effect, items), null.errors[effect], strict=True)
@@ -190,13 +190,13 @@ class NullValues:
             self.left.setdefault(key, []).append(value)
         for key, value in evidence.white().items():
             self.white.setdefault(key, []).append(value)
-        for effect, items in by_themselves(evidence).items():
+        for effect, items in fit_each_alone(evidence).items():
             if not library()[effect].periodic:
                 self.fits.setdefault(effect, []).append(items)
-            if sizes := sizes_by_chance(effect, items):
+            if sizes := sizes_beyond_noise(effect, items):
                 self.sizes.setdefault(effect, []).append(sizes)
                 self.errors.setdefault(effect, []).append(standard_errors(effect, items))
-        for channel, line in ringing(evidence, fit, [True] * len(evidence.stack.rows)).items():
+        for channel, line in highest_lines(evidence, fit, [True] * len(evidence.stack.rows)).items():
             self.lines.setdefault(channel, []).append(line.height)
 
     def null(self, moved: Mapping[str, tuple[float, float]], kept: Sequence[str]) -> Null:
@@ -223,17 +223,17 @@ class NullValues:
         return {name: (float(np.mean(values)), float(np.std(values))) for name, values in self.moved.items()}
 
     def unidentifiable(self) -> tuple[str, ...]:
-        """Return the parameters whose relative change in sound machines exceeds `MOST_MOVED` times their prior.
+        """Return the parameters whose relative change in sound machines exceeds `MOST_PRIOR_CHANGE` times their prior.
 
-        A bias common to all machines counts in full for the torque constant, and as `error_of` has it for the others.
+        A bias common to all machines counts in full for the torque constant, and as `bias_error` has it for the others.
         A parameter that every fit holds is not among them.
         """
         return tuple(
             name
             for name, change in self.parameters().items()
-            if self.priors.get(name) != PINNED
-            and (math.hypot(*change) if name == TORQUE_CONSTANT else error_of(*change))
-            > MOST_MOVED * self.priors.get(name, math.inf)
+            if self.priors.get(name) != PINNED_PRIOR
+            and (math.hypot(*change) if name == TORQUE_CONSTANT else bias_error(*change))
+            > MOST_PRIOR_CHANGE * self.priors.get(name, math.inf)
         )
 
 
@@ -271,7 +271,7 @@ def confirmed_beside_others(evidence: Evidence, result: EffectSet, seed: int = 0
     hypothesis = list(result.hypothesis)
     for item in sorted(result.members, key=lambda item: item.gain)[:-1]:
         others = [candidate for candidate in hypothesis if candidate != item.candidate]
-        if item.size <= ENTRY * math.hypot(item.std, item.floor, size_beside(evidence, others, item, random)):
+        if item.size <= ENTRY_HEIGHT * math.hypot(item.std, item.floor, size_beside(evidence, others, item, random)):
             hypothesis = others
     if hypothesis == result.hypothesis:
         return result
@@ -283,7 +283,7 @@ def size_beside(
 ) -> float:
     """Return the size, beyond noise, of an effect fitted to a machine with only the others; zero without any run."""
     # calibrated with the whole set: without the effect a similar parameter, as the shaft's stiffness, would replace it
-    calibration = calibrated(evidence, evidence.settle([*others, item.candidate]))
+    calibration = calibrated_parameters(evidence, evidence.settle([*others, item.candidate]))
     fit = evidence.settle(others)
     acting = [(other[0], {p.name: p.value for p in effect_parameters(evidence, fit, other)}) for other in others]
     machine = with_effects(with_calibration(evidence.model, calibration), acting)
@@ -292,7 +292,7 @@ def size_beside(
     if not sound_evidence.stack.rows:
         return 0.0
     sound_evidence.settle([*others, item.candidate])
-    refitted = finding(
+    refitted = fit_further_effect(
         sound_evidence, sound_evidence.normal(), sound_evidence.stack.columns_of(others), item.candidate, free=True
     )
     return math.sqrt(max(refitted.size**2 - refitted.std**2, 0.0)) if refitted is not None else 0.0

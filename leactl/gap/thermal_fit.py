@@ -14,7 +14,7 @@ import numpy.typing as npt
 from leactl.errors import InputError
 from leactl.gap.diagnosis import CalibratedParameter
 from leactl.gap.search.effect_regression import PRIORS, Evidence
-from leactl.gap.search.parameters import calibrated
+from leactl.gap.search.parameters import calibrated_parameters
 from leactl.gap.signals.record import AMBIENT, Record, record_of
 from leactl.model.motor import Motor
 from leactl.model.nominal import Model
@@ -88,7 +88,7 @@ def thermal_fit(runs: Sequence[Run], motor: Motor) -> ThermalFit:
         why = "; ".join(notes) or "they were seldom read at the same time"
         raise InputError(f"{files}: temperatures and heat never come together for long enough: {why}")
     fit = evidence.settle([])
-    fitted = {item.parameter: item for item in calibrated(evidence, fit) if item.parameter in FITTED}
+    fitted = {item.parameter: item for item in calibrated_parameters(evidence, fit) if item.parameter in FITTED}
     names = [name for name in FITTED if name in fitted]
     places = {evidence.stack.names[place]: index for index, place in enumerate(fit.columns)}
     rows = np.array([places["calibration", name] for name in names])

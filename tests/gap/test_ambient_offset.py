@@ -8,7 +8,7 @@ import pytest
 from leactl.gap.diagnosis import CalibratedParameter
 from leactl.gap.replay import replay
 from leactl.gap.search.effect_regression import Evidence
-from leactl.gap.search.parameters import at_bound, calibrated, with_calibration
+from leactl.gap.search.parameters import calibrated_parameters, is_at_bound, with_calibration
 from leactl.model.nominal import MOST_OFFSET
 from tests.gap.synthetic import model, record
 
@@ -32,7 +32,7 @@ def heated():
 
 def told(run, nominal):
     evidence = Evidence([run], nominal, only=[])
-    parameters = calibrated(evidence, evidence.settle([]))
+    parameters = calibrated_parameters(evidence, evidence.settle([]))
     return next(item for item in parameters if item.parameter == "ambient_offset"), parameters
 
 
@@ -59,6 +59,6 @@ def test_an_offset_that_no_ambient_has_is_at_its_bound(heated):
     away = replace(heated, slow=replace(heated.slow, values=heated.slow.values | farther))
     offset, parameters = told(away, model())
     assert offset.fitted == -MOST_OFFSET
-    assert at_bound(offset)
+    assert is_at_bound(offset)
     assert with_calibration(model(), parameters).ambient_offset == -MOST_OFFSET
-    assert not at_bound(CalibratedParameter("ambient_offset", 0.0, OFFSET, 0.1, "K"))
+    assert not is_at_bound(CalibratedParameter("ambient_offset", 0.0, OFFSET, 0.1, "K"))

@@ -12,7 +12,7 @@ from leactl.emulation.plant.effects_outside_library import unlisted_effects
 from leactl.errors import InputError
 from leactl.gap.diagnose import Case, diagnose, read_case, split
 from leactl.gap.search.effect_regression import Evidence
-from leactl.gap.search.ringing import ringing
+from leactl.gap.search.ringing import highest_lines
 from leactl.gap.signals.record import build_record
 from leactl.gap.verdict.notes import gathered
 from leactl.runfile.read.reader import Channel
@@ -157,7 +157,7 @@ def test_what_rings_on_the_bench_is_told_with_its_frequency(benches):
     held_still = entries(benches)[folder.name]["parameters"]["hanging_resonator"]["frequency"]
     case = read_case(sorted(folder.glob("*.h5")), [], model(folder))
     evidence = Evidence(case.fitted, case.model)
-    lines = ringing(evidence, evidence.settle([]), [True] * len(evidence.stack.rows))
+    lines = highest_lines(evidence, evidence.settle([]), [True] * len(evidence.stack.rows))
     highest = max(lines.values(), key=lambda line: line.height)
     assert highest.height > 1.3
     # a free rotor swings against the part that hangs on it, faster than the part alone by half at most

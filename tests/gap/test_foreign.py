@@ -10,7 +10,7 @@ import pytest
 
 from leactl.gap.diagnose import diagnose, read_case
 from leactl.gap.equations import equations
-from leactl.gap.search.angle_periodogram import strongest
+from leactl.gap.search.angle_periodogram import strongest_orders
 from leactl.gap.search.effect_regression import PRIORS
 from leactl.gap.search.regression import Normal, make_rows, residuals, stack
 from leactl.gap.servo.effect_sets import fit_effect_sets
@@ -96,7 +96,7 @@ def test_laas_cogging_is_found_on_one_half_and_holds_on_the_other(tmp_path):
     files = {file.stem.split("-")[-1]: file for file in imported("laas_cogging", "stopped_data.csv", tmp_path)}
     model, forward = nominal("laas_cogging"), read_record(files["forward"])
     normal, fit, _ = fitted(rows_of([forward], model))
-    orders = [form[0] for effect, form in strongest(normal.stack, fit, normal.weights, 6) if effect == "cogging"]
+    orders = [form[0] for effect, form in strongest_orders(normal.stack, fit, normal.weights, 6) if effect == "cogging"]
     assert orders[0] == 72
     assert residual_current(files["reverse"], model, forward, (), -1) > 0.13
     assert residual_current(files["reverse"], model, forward, (72.0,), -1) < 0.055

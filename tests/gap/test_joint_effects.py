@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from leactl.gap.diagnose import Case, diagnose
 from leactl.gap.equations import equations
 from leactl.gap.search.effect_regression import Evidence
-from leactl.gap.search.parameters import calibrated
+from leactl.gap.search.parameters import calibrated_parameters
 from leactl.joints.machine import draw_machine
 from leactl.joints.make import draw_runs
 from tests.gap.drawn_machines import case_of, write_cases
@@ -219,7 +219,7 @@ def test_a_load_that_swings_within_less_than_the_grid_of_frequencies_is_told_by_
 def test_an_inertia_is_told_by_an_encoder_whose_steps_hide_the_acceleration(drawn_case):
     case, run = drawn_case("coarse")
     evidence = Evidence(case.fitted, case.model)
-    told = {item.parameter: item.fitted for item in calibrated(evidence, evidence.settle([]))}
+    told = {item.parameter: item.fitted for item in calibrated_parameters(evidence, evidence.settle([]))}
     ratio = run.specimen.rotor_inertia / run.specimen.torque_constant
     assert told["rotor_inertia"] / told["torque_constant"] == pytest.approx(ratio, rel=0.01)
 

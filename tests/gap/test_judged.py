@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnosis import Near
-from leactl.gap.search.effect_sets import TIE, FurtherEffect
+from leactl.gap.search.effect_sets import TIE_SHARE, FurtherEffect
 from leactl.gap.search.ringing import Line
 from leactl.gap.signals.record import Record
 from leactl.gap.verdict.judge import (
@@ -65,7 +65,7 @@ def test_gains_are_no_farther_apart_by_what_forms_miss_than_free_forms_show():
 
 def test_two_effects_with_the_same_columns_are_one_class_however_much_they_explain():
     member = finding("unbalance", 20.0, gain=1e8)
-    [alike] = judge(None, of_one(member, finding("gravity_load", 20.0, gain=1e8 * (1.0 - TIE))), {})
+    [alike] = judge(None, of_one(member, finding("gravity_load", 20.0, gain=1e8 * (1.0 - TIE_SHARE))), {})
     assert alike.peers == ("gravity_load",)
 
 

@@ -12,8 +12,8 @@ from leactl.effects.contract import PLACES, Signals
 from leactl.effects.gear_backlash import SEEN
 from leactl.effects.joint_elasticity import HIGHEST
 from leactl.effects.plant import Plant
-from leactl.gap.search.effect_sets import SHAPE
-from leactl.gap.search.parameters import propagated
+from leactl.gap.search.effect_sets import STRENGTH_RANGE
+from leactl.gap.search.parameters import propagated_variances
 from leactl.gap.signals.effect_variables import VARIABLE_FUNCTIONS
 from leactl.model.nominal import DriveModel, Model
 from leactl.vocabulary.effect import EffectDefinition, effect_definition, effect_names, effects_on
@@ -165,7 +165,10 @@ def test_no_shape_lies_between_what_two_forms_may_stand_for(name):
     """What a reversal or a step leaves in a slow log grows with up to the cube of a displacement or a delay."""
     assert len(SHAPED) >= 8
     for numbers in zip(*library()[name].forms, strict=True):
-        assert all((above / below) ** 3 < SHAPE[1] / SHAPE[0] for below, above in pairwise(sorted(set(numbers))))
+        assert all(
+            (above / below) ** 3 < STRENGTH_RANGE[1] / STRENGTH_RANGE[0]
+            for below, above in pairwise(sorted(set(numbers)))
+        )
 
 
 def test_a_limit_that_does_not_fall_with_speed_has_no_no_load_speed():
@@ -180,5 +183,5 @@ def test_a_parameter_that_a_usual_change_makes_infinite_has_an_infinite_variance
     def after(change):
         return {"speed": 20.0 if change[0] < 1.0 else math.inf, "current": 2.0 + change[1]}
 
-    variances = propagated({"speed": 20.0, "current": 2.0}, after, np.array([[4.0, 0.0], [0.0, 0.25]]))
+    variances = propagated_variances({"speed": 20.0, "current": 2.0}, after, np.array([[4.0, 0.0], [0.0, 0.25]]))
     assert variances == {"speed": math.inf, "current": pytest.approx(0.25)}

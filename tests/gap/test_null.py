@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from leactl.gap.diagnose import read_case
 from leactl.gap.null import ALIKE, NULLS, machines_off, measure, set_floors, shown_alike, sound_runs
 from leactl.gap.replay.cutting import TRACKED
-from leactl.gap.search.effect_regression import MISSED, NEGLIGIBLE, PRIORS, Evidence
-from leactl.gap.search.effect_sets import ENTRY, FurtherEffect
-from leactl.gap.search.parameters import calibrated, nominal_value
-from leactl.gap.search.stamp_fit import LATE_STD, LATEST
+from leactl.gap.search.effect_regression import BIAS_DOUBT_SHARE, NEGLIGIBLE_SHARE, PRIORS, Evidence
+from leactl.gap.search.effect_sets import ENTRY_HEIGHT, FurtherEffect
+from leactl.gap.search.parameters import calibrated_parameters, nominal_value
+from leactl.gap.search.stamp_fit import MOST_STAMP_DELAY, STAMP_DELAY_STD
 from leactl.gap.signals.derived import hidden_step_samples, resolved_samples
 from leactl.gap.signals.noise import SEGMENT, quantum_of
 from leactl.gap.signals.scales import worth_knowing
@@ -158,11 +158,11 @@ def test_what_fits_to_sound_machines_are_off_by_alike_is_taken_away(case, null, 
     for bias in (0.0, -0.2):
         evidence = Evidence(case.fitted, case.model, only=[])
         evidence.compare_with(replace(null, moved={parameter: (bias, 0.003)}))
-        (found[bias],) = (p for p in calibrated(evidence, evidence.settle([])) if p.parameter == parameter)
+        (found[bias],) = (p for p in calibrated_parameters(evidence, evidence.settle([])) if p.parameter == parameter)
     factor = 1.2 if reciprocal else 1.0 / 0.8
     assert found[-0.2].fitted == pytest.approx(factor * found[0.0].fitted)
     assert found[0.0].std / found[0.0].nominal < 0.02
-    assert found[-0.2].std / found[-0.2].nominal == pytest.approx(MISSED * 0.2 * factor, rel=0.15)
+    assert found[-0.2].std / found[-0.2].nominal == pytest.approx(BIAS_DOUBT_SHARE * 0.2 * factor, rel=0.15)
 
 
 @pytest.mark.parametrize("bias", [-0.977, -0.5, 0.5])
@@ -171,7 +171,9 @@ def test_what_runs_hardly_show_is_not_corrected_and_stands_in_its_standard_error
     for moved in (0.0, bias):
         evidence = Evidence(case.fitted, case.model, only=[])
         evidence.compare_with(replace(null, moved={"rotor_inertia": (moved, 0.003)}))
-        (parameters[moved],) = (p for p in calibrated(evidence, evidence.settle([])) if p.parameter == "rotor_inertia")
+        (parameters[moved],) = (
+            p for p in calibrated_parameters(evidence, evidence.settle([])) if p.parameter == "rotor_inertia"
+        )
     assert parameters[bias].fitted == parameters[0.0].fitted
     assert parameters[bias].std / parameters[bias].nominal == pytest.approx(abs(bias), rel=0.15)
 
@@ -294,14 +296,14 @@ def test_without_a_bus_voltage_there_is_no_ceiling(tmp_path):
 
 def test_the_pages_have_the_numbers_of_the_code():
     gap, decision = (re.sub(r"\s+", " ", (DOCS / page).read_text(encoding="utf-8")) for page in PAGES)
-    assert f"must stand {ENTRY} times above" in gap
-    assert f"Nothing up to {LATEST:.0f} samples is called a delay" in gap
-    assert f"in its error, {LATE_STD:.2f} samples" in gap
+    assert f"must stand {ENTRY_HEIGHT} times above" in gap
+    assert f"Nothing up to {MOST_STAMP_DELAY:.0f} samples is called a delay" in gap
+    assert f"in its error, {STAMP_DELAY_STD:.2f} samples" in gap
     assert {3: "Three"}[NULLS] + " sound machines are simulated" in gap
     assert f"a time constant of {TRACKED:.0f} samples" in decision
     assert f"over stretches of {SEGMENT} samples" in decision
-    assert {0.05: "a twentieth of the smallest size worth knowing"}[NEGLIGIBLE] in gap
-    assert {0.05: "A twentieth of the smallest size worth knowing"}[NEGLIGIBLE] in decision
+    assert {0.05: "a twentieth of the smallest size worth knowing"}[NEGLIGIBLE_SHARE] in gap
+    assert {0.05: "A twentieth of the smallest size worth knowing"}[NEGLIGIBLE_SHARE] in decision
 
 
 def test_the_table_of_thresholds_is_that_of_the_code():

@@ -8,7 +8,14 @@ from scipy.signal import lfilter
 
 from leactl.effects.contract import Signals
 from leactl.gap.search.regression import Rows
-from leactl.gap.search.ringing import FULL, SEGMENT, highest_bin, highest_line, periodograms, unfollowed
+from leactl.gap.search.ringing import (
+    LEAST_VALID_SHARE,
+    SEGMENT,
+    highest_bin,
+    highest_line,
+    periodograms,
+    without_followed_part,
+)
 from leactl.gap.verdict.judge import LINE
 from leactl.model.nominal import Model
 
@@ -34,7 +41,9 @@ def test_a_tone_far_below_the_noise_is_found_where_it_is(seed, at):
     assert abs(found - at) <= 1.0
 
 
-@pytest.mark.parametrize(("missing", "expected"), [(0.9 * (1.0 - FULL), True), (1.1 * (1.0 - FULL), False)])
+@pytest.mark.parametrize(
+    ("missing", "expected"), [(0.9 * (1.0 - LEAST_VALID_SHARE), True), (1.1 * (1.0 - LEAST_VALID_SHARE), False)]
+)
 def test_segments_with_too_much_missing_are_left_out(missing, expected):
     values = np.ones(SEGMENT)
     values[: round(missing * SEGMENT)] = np.nan
@@ -74,8 +83,8 @@ def test_what_a_filter_leaves_of_a_motion_is_no_line_of_a_velocity(equation, lef
     signals = Signals("free", time, Model(name="m"), 0.0025, velocity=motion)
     index = np.arange(ROWS)
     rows = Rows("r", "k", "free", equation, "velocity", "test", "rad/s", residual, {}, {}, index, index, signals, 1e-3)
-    found, height = highest_bin(spectrum(unfollowed(rows, residual)))
+    found, height = highest_bin(spectrum(without_followed_part(rows, residual)))
     assert (found == 7 and height > LINE) is left
-    found, height = highest_bin(spectrum(unfollowed(rows, residual + own)))
+    found, height = highest_bin(spectrum(without_followed_part(rows, residual + own)))
     assert height > LINE
     assert found == 20 or left

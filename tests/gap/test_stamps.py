@@ -5,7 +5,7 @@ import pytest
 
 from leactl.gap.diagnose import diagnose
 from leactl.gap.search.effect_regression import Evidence
-from leactl.gap.search.effect_sets import ENTRY, finding
+from leactl.gap.search.effect_sets import ENTRY_HEIGHT, fit_further_effect
 from leactl.gap.signals.setpoints import mark_setpoints
 from leactl.gap.signals.stamps import TAPS, lateness, neighbour, restamped
 from tests.gap.joints import Effect, Log, case, drawn_joint, drawn_log
@@ -71,9 +71,13 @@ def test_a_delay_within_what_stamps_may_be_enters_no_set(told, delay, least):
     evidence = Evidence(mark_setpoints(made.fitted, made.model), made.model)
     normal, base = evidence.normal(), evidence.stack.columns_of([])
     delays = [candidate for candidate in evidence.candidates if candidate[0] == "transport_delay"]
-    found = [one for candidate in delays if (one := finding(evidence, normal, base, candidate, free=True)) is not None]
+    found = [
+        one
+        for candidate in delays
+        if (one := fit_further_effect(evidence, normal, base, candidate, free=True)) is not None
+    ]
     assert found
-    assert [one.floor * ENTRY * joint.rate for one in found] == pytest.approx([least] * len(found), abs=0.1)
+    assert [one.floor * ENTRY_HEIGHT * joint.rate for one in found] == pytest.approx([least] * len(found), abs=0.1)
 
 
 def test_an_effect_is_named_in_a_log_without_stamps():
@@ -94,7 +98,7 @@ def test_a_shape_that_no_run_shows_has_no_size():
     joint = drawn_joint(random)
     evidence = Evidence(case(joint, Log(), random).fitted, joint.model(random), only=[TOO_FAST])
     assert len(evidence.columns(TOO_FAST)) == 1
-    assert finding(evidence, evidence.normal(), evidence.stack.columns_of([]), TOO_FAST, free=True) is None
+    assert fit_further_effect(evidence, evidence.normal(), evidence.stack.columns_of([]), TOO_FAST, free=True) is None
 
 
 def test_neighbours_make_a_signal_late_by_what_they_are_said_to():

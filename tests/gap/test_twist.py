@@ -7,7 +7,7 @@ import pytest
 from leactl.gap.diagnose import read_case
 from leactl.gap.null import measure, set_floors
 from leactl.gap.search.effect_regression import Evidence
-from leactl.gap.search.parameters import calibrated
+from leactl.gap.search.parameters import calibrated_parameters
 
 STIFFNESS = "bench.shaft_stiffness"
 
@@ -21,7 +21,7 @@ def case(sound_bench):
 
 def fitted(records, model):
     evidence = Evidence(records, model, only=[])
-    return {item.parameter: item for item in calibrated(evidence, evidence.settle([]))}
+    return {item.parameter: item for item in calibrated_parameters(evidence, evidence.settle([]))}
 
 
 def off_by(model, **factors):
@@ -49,6 +49,6 @@ def test_what_is_told_of_a_bench_lies_within_its_errors(case, sound_cases):
     set_floors(evidence, measure(case.fitted, case.model))
     (entry,) = json.loads((sound_cases.key / "key.json").read_text())["cases"].values()
     truth = entry["true_base"]
-    for item in calibrated(evidence, evidence.settle([])):
+    for item in calibrated_parameters(evidence, evidence.settle([])):
         if item.parameter in truth:
             assert abs(item.fitted - truth[item.parameter]) < 3.0 * item.std, item.parameter

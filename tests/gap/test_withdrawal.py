@@ -11,8 +11,8 @@ import pytest
 from leactl.effects.contract import Signals
 from leactl.gap.diagnose import diagnose
 from leactl.gap.diagnosis import CalibratedParameter, Cause, EffectParameter, Shrinkage
-from leactl.gap.search.effect_sets import outweighs
-from leactl.gap.search.parameters import at_bound
+from leactl.gap.search.effect_sets import outweighs_equation
+from leactl.gap.search.parameters import is_at_bound
 from leactl.gap.search.regression import Normal, Rows, gain_of, stack
 from leactl.gap.verdict.shrinkage import Growth, Shrunk
 from leactl.gap.verdict.withdrawal import FittedEffects, apply
@@ -291,7 +291,7 @@ def test_an_effect_beside_another_has_to_show_in_more_than_the_largest_gaps(mode
     ("factor", "bound"), [(0.05, True), (0.0501, False), (1.0, False), (19.9, False), (20.0, True)]
 )
 def test_a_bound_is_a_twentieth_and_twenty_times(factor, bound):
-    assert at_bound(replace(SOUND, fitted=SOUND.nominal * factor)) == bound
+    assert is_at_bound(replace(SOUND, fitted=SOUND.nominal * factor)) == bound
 
 
 def test_a_range_holds_for_any_machine_only_where_it_has_no_dimension():
@@ -317,7 +317,7 @@ def test_a_wave_is_no_candidate_where_the_shaft_hardly_turns(turned, there):
     added = np.asarray([stacked.place[name] for name in list(columns)[1:]])
     [base] = [stacked.place["calibration", "torque_constant"]]
     _, values, _ = gain_of(Normal(stacked, [1e4]), np.asarray([base]), added)
-    assert outweighs(stacked, added, values) is not there
+    assert outweighs_equation(stacked, added, values) is not there
 
 
 @pytest.mark.long

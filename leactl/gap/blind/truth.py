@@ -17,10 +17,10 @@ from leactl.gap import null
 from leactl.gap.blind.answers import MODEL, runs_of, write
 from leactl.gap.diagnose import Case, model_with, read_case
 from leactl.gap.replay.comparison import Compared
-from leactl.gap.search.angle_periodogram import strongest
-from leactl.gap.search.effect_regression import ORDERS_TRIED, Evidence, forms_here
-from leactl.gap.search.effect_sets import BEYOND, best_of_each, member, refine
-from leactl.gap.search.parameters import calibrated, with_calibration, with_effects
+from leactl.gap.search.angle_periodogram import strongest_orders
+from leactl.gap.search.effect_regression import ORDERS_TRIED, Evidence, forms_at_scales
+from leactl.gap.search.effect_sets import MOST_SIZE_RATIO, best_of_each, member, refine
+from leactl.gap.search.parameters import calibrated_parameters, with_calibration, with_effects
 from leactl.gap.search.regression import Candidate
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.setpoints import mark_setpoints
@@ -121,12 +121,12 @@ def oracle(case: Case, effects: Sequence[str]) -> tuple[Model, Model, list[Recor
     The third value is the held-out runs, with their stamps fitted by that diagnosis.
     """
     case = case.of_records(mark_setpoints([*case.fitted, *case.held_out], case.model))
-    forms = forms_here(case.fitted, case.model)
+    forms = forms_at_scales(case.fitted, case.model)
     candidates = [(name, form) for name in effects for form in forms.get(name, []) if not library()[name].periodic]
     evidence = Evidence(case.fitted, case.model, only=candidates)
     null.set_floors(evidence, null.measure(case.fitted, case.model, only=candidates))
     hypothesis = true_set(evidence, effects)
-    tuned = with_calibration(case.model, calibrated(evidence, evidence.settle([])))
+    tuned = with_calibration(case.model, calibrated_parameters(evidence, evidence.settle([])))
     stamps = evidence.stamping(evidence.settle(hypothesis))
     augmented = model_with(case.model, evidence, hypothesis)
     return tuned, augmented, [stamped(record, stamps) for record in case.held_out]
@@ -140,7 +140,7 @@ def true_set(evidence: Evidence, effects: Sequence[str]) -> list[Candidate]:
         other_members = [item for item in hypothesis if item[0] != name]
         fit = evidence.settle(other_members)
         if library()[name].periodic:
-            orders = strongest(evidence.stack, fit, evidence.weights, ORDERS_TRIED)
+            orders = strongest_orders(evidence.stack, fit, evidence.weights, ORDERS_TRIED)
             evidence.add([item for item in orders if item[0] == name])
         best = best_of_each(evidence, evidence.normal(), other_members)
         hypothesis = [*other_members, *(item.candidate for item in best if item.effect == name)]
@@ -154,4 +154,4 @@ def true_set(evidence: Evidence, effects: Sequence[str]) -> list[Candidate]:
 
 def most(effect: str) -> float:
     """Return the largest size in which an effect is met."""
-    return BEYOND * effect_definition(effect).largest
+    return MOST_SIZE_RATIO * effect_definition(effect).largest

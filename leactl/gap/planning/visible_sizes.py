@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from leactl.effects import library
 from leactl.gap.null import measure
-from leactl.gap.search.effect_regression import Evidence, every_form, forms_here
-from leactl.gap.search.effect_sets import ENTRY, SHAPE, WAVE
+from leactl.gap.search.effect_regression import Evidence, every_form, forms_at_scales
+from leactl.gap.search.effect_sets import ENTRY_HEIGHT, STRENGTH_RANGE, WAVE_COEFFICIENTS
 from leactl.gap.search.regression import Candidate, Normal
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.setpoints import mark_setpoints
@@ -47,7 +47,7 @@ class Sight:
 
 def planned_candidates(records: Sequence[Record], model: Model) -> list[Candidate]:
     """Return every form of every effect at the scales of some runs; periodic effects have a few orders."""
-    candidates = every_form(forms_here(records, model))
+    candidates = every_form(forms_at_scales(records, model))
     for effect in library().values():
         if effect.periodic and effect.applies(model):
             low, high = effect.orders
@@ -142,17 +142,17 @@ class Projected:
             return None
         effect, model = library()[candidate[0]], self.evidence.model
         names = [self.evidence.coefficient(int(self.columns[k])) for k in block]
-        leading = [k for k, name in enumerate(names) if name in WAVE] or [0]
+        leading = [k for k, name in enumerate(names) if name in WAVE_COEFFICIENTS] or [0]
         covariance = np.linalg.inv(self.left[np.ix_(block, block)])
         std = float(np.sqrt(np.mean(np.diag(covariance)[leading])))
         unit = {name: 1.0 if k == leading[0] else 0.0 for k, name in enumerate(names)}
         small = {name: 1e-3 * value for name, value in unit.items()}
         slope = abs(effect.size(candidate[1], small, model)) / 1e-3
-        needed = ENTRY * float(np.hypot(slope * std, self.evidence.floor(candidate)))
+        needed = ENTRY_HEIGHT * float(np.hypot(slope * std, self.evidence.floor(candidate)))
         if not effect.shaped:
             return needed
         # a shaped effect is only found within the range of its strength
-        low, high = (slope * share for share in SHAPE)
+        low, high = (slope * share for share in STRENGTH_RANGE)
         return max(needed, low) if needed <= high else None
 
     def alike(self, effects: set[str]) -> set[tuple[str, str]]:

@@ -16,14 +16,14 @@ from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
 from leactl.gap.signals.smoothing import BASE_WIDTH
 
 Array = npt.NDArray[np.float64]
-TORQUE = ("free_torque", "axis_torque", "both_torque", "coupled_torque")
+TORQUE_EQUATIONS = ("free_torque", "axis_torque", "both_torque", "coupled_torque")
 CREEP_WIDTH = 1.0  # samples, smoothing of a creeping axis
-FINEST = 0.35  # cycles a sample beyond which smoothing removes a column
-PERIODS = 2.0  # fewest periods in a run that distinguish a wave from a bend
-APART = 1  # orders this close to a stronger one are its leakage
+MOST_CYCLES_PER_SAMPLE = 0.35  # beyond it smoothing removes a column
+FEWEST_PERIODS = 2.0  # periods in a run that distinguish a wave from a bend
+LEAKAGE_ORDERS = 1  # difference of orders up to which the weaker one is leakage of the stronger one
 
 
-def strongest(stacked: Stack, fit: Fit, weights: Sequence[float], count: int) -> list[Candidate]:
+def strongest_orders(stacked: Stack, fit: Fit, weights: Sequence[float], count: int) -> list[Candidate]:
     """Return the `count` strongest orders of every periodic effect in the residual of a fit."""
     candidates: list[Candidate] = []
     for effect in library().values():
@@ -33,7 +33,7 @@ def strongest(stacked: Stack, fit: Fit, weights: Sequence[float], count: int) ->
         power, creeps = np.zeros(high + 1), []
         open_orders = np.arange(high + 1) >= low
         for index, rows in enumerate(stacked.rows):
-            if rows.equation in TORQUE and turns(rows, effect.periodic):
+            if rows.equation in TORQUE_EQUATIONS and can_show_waves(rows, effect.periodic):
                 residual = residuals(stacked, fit, index)
                 power += weights[index] * periodogram(rows, residual, effect.periodic, high)
                 if "creep" in rows.signals.extra:
@@ -45,23 +45,23 @@ def strongest(stacked: Stack, fit: Fit, weights: Sequence[float], count: int) ->
             candidates.append((effect.name, (float(order),)))
             for creep, (rows, residual, weight) in enumerate(creeps):
                 # a creeping axis dwells unevenly over the angle, so that a strong order leaks into others
-                remaining = without(rows, residual, order)
+                remaining = without_order(rows, residual, order)
                 change = periodogram(rows, remaining, effect.periodic, high) - periodogram(
                     rows, residual, effect.periodic, high
                 )
                 power += weight * change
                 creeps[creep] = (rows, remaining, weight)
-            open_orders[max(order - APART, 0) : order + APART + 1] = False
+            open_orders[max(order - LEAKAGE_ORDERS, 0) : order + LEAKAGE_ORDERS + 1] = False
     return candidates
 
 
-def turns(rows: Rows, place: str) -> bool:
+def can_show_waves(rows: Rows, place: str) -> bool:
     """Return whether rows have an angle, and the current if the effect is a ripple of the torque."""
     signals = rows.signals
     return signals.angle is not None and (place != "torque_factor" or signals.current is not None)
 
 
-def without(rows: Rows, residual: Array, order: int) -> Array:
+def without_order(rows: Rows, residual: Array, order: int) -> Array:
     """Return a residual without its part at one order of the angle."""
     assert rows.signals.angle is not None
     phase = order * rows.signals.angle[rows.index]
@@ -86,13 +86,13 @@ def periodogram(rows: Rows, residual: Array, place: str, highest: int) -> Array:
     turn = np.exp(1j * angle)
     wave = np.ones_like(turn)
     powers = np.zeros(highest + 1)
-    lowest = PERIODS * 2 * np.pi / max(float(np.ptp(angle)), 1e-9)
+    lowest = FEWEST_PERIODS * 2 * np.pi / max(float(np.ptp(angle)), 1e-9)
     for order in range(1, highest + 1):
         wave = wave * turn
         if order < lowest:
             continue
         rate = order * cycles
-        visibility = np.exp(-0.5 * (2 * np.pi * rate) ** 2 * width**2) * (rate < FINEST)
+        visibility = np.exp(-0.5 * (2 * np.pi * rate) ** 2 * width**2) * (rate < MOST_CYCLES_PER_SAMPLE)
         power = visibility**2
         if float(power.sum()) ** 2 < FEWEST_ROWS * float(power @ power):
             continue  # too few rows are slow enough to show it

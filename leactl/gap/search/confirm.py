@@ -12,8 +12,8 @@ from leactl.gap.signals.record import Record
 
 Array = npt.NDArray[np.float64]
 STRETCHES = 16  # stretches of the rows of an equation and a run, resampled as a whole
-RESAMPLED = 2000
-CHANCE = 0.025  # probability beyond one end of a 95 % interval
+RESAMPLES = 2000  # number of random draws for an interval
+TAIL_PROBABILITY = 0.025  # probability beyond one end of a 95 % interval
 
 
 class HeldOutGain(NamedTuple):
@@ -30,8 +30,8 @@ def held_out_gains(
 
     The fitted runs are fitted with the member and without it. On the held-out runs, coefficients that all runs share
     keep their fitted values; those of a single run, such as the angle of its lock or the initial state of a member, are
-    fitted there. The weights are those of a fit of all members to the held-out runs. `CHANCE` is divided by the number
-    of members, since all are tested at once (Bonferroni).
+    fitted there. The weights are those of a fit of all members to the held-out runs. `TAIL_PROBABILITY` is divided by
+    the number of members, since all are tested at once (Bonferroni).
     """
     cannot_tell = HeldOutGain(np.nan, np.nan)
     if not held_out or not hypothesis:
@@ -42,22 +42,22 @@ def held_out_gains(
     on_held_out.settle(hypothesis)  # sets its weights
     normal, random = on_held_out.normal(), np.random.default_rng(seed)
     fitted = evidence.settle(hypothesis)  # sets the weights for the fits without a member, too
-    fit_with_all = transferred(normal, evidence, fitted)
+    fit_with_all = transferred_fit(normal, evidence, fitted)
     gains = []
     for index in range(len(hypothesis)):
         if len(on_held_out.columns(hypothesis[index])) == 0:
             gains.append(cannot_tell)
             continue
         others = [*hypothesis[:index], *hypothesis[index + 1 :]]
-        fit_without = transferred(normal, evidence, evidence.normal().fit(others))
-        gain_by_stretch = taken_by_stretch(normal, fit_without, fit_with_all)
-        sums = gain_by_stretch[random.integers(0, len(gain_by_stretch), (RESAMPLED, len(gain_by_stretch)))].sum(axis=1)
-        least = float(np.quantile(sums, CHANCE / len(hypothesis)))
+        fit_without = transferred_fit(normal, evidence, evidence.normal().fit(others))
+        gain_by_stretch = stretch_gains(normal, fit_without, fit_with_all)
+        sums = gain_by_stretch[random.integers(0, len(gain_by_stretch), (RESAMPLES, len(gain_by_stretch)))].sum(axis=1)
+        least = float(np.quantile(sums, TAIL_PROBABILITY / len(hypothesis)))
         gains.append(HeldOutGain(fit_without.misfit - fit_with_all.misfit, least))
     return gains
 
 
-def taken_by_stretch(normal: Normal, fit_without: Fit, fit_with_all: Fit) -> Array:
+def stretch_gains(normal: Normal, fit_without: Fit, fit_with_all: Fit) -> Array:
     """Return the gain of one fit over another in weighted squares, by stretch of the rows of each equation and run."""
     gain_by_stretch = []
     for index, weight in enumerate(normal.weights):
@@ -70,7 +70,7 @@ def taken_by_stretch(normal: Normal, fit_without: Fit, fit_with_all: Fit) -> Arr
     return np.asarray(gain_by_stretch)
 
 
-def transferred(normal: Normal, evidence: Evidence, fit: Fit) -> Fit:
+def transferred_fit(normal: Normal, evidence: Evidence, fit: Fit) -> Fit:
     """Apply a fit to other runs: keep the coefficients that all runs share, fit those of single runs again.
 
     normal : normal equations of the other runs.
@@ -80,8 +80,8 @@ def transferred(normal: Normal, evidence: Evidence, fit: Fit) -> Fit:
         evidence.stack.names[column]: float(value) for column, value in zip(fit.columns, fit.values, strict=True)
     }
     names = normal.stack.names
-    shared = np.asarray([k for k, name in enumerate(names) if name in known and not own(name)], np.intp)
-    free = np.asarray([k for k, name in enumerate(names) if own(name)], np.intp)
+    shared = np.asarray([k for k, name in enumerate(names) if name in known and not is_of_one_run(name)], np.intp)
+    free = np.asarray([k for k, name in enumerate(names) if is_of_one_run(name)], np.intp)
     coefficients = np.asarray([known[names[k]] for k in shared])
     right = normal.right - normal.gram[:, shared] @ coefficients
     misfit = normal.total - 2 * coefficients @ normal.right[shared]
@@ -94,6 +94,6 @@ def transferred(normal: Normal, evidence: Evidence, fit: Fit) -> Fit:
     return Fit(columns, np.concatenate([coefficients, values]), not_known, float(misfit))
 
 
-def own(name: Column) -> bool:
+def is_of_one_run(name: Column) -> bool:
     """Return whether a column belongs to a single run."""
     return (name[0] == "nuisance" and name[1] != "") or (name[0] == "effect" and name[3].startswith("start of"))

@@ -16,7 +16,7 @@ from leactl.effects import library
 from leactl.effects.contract import Form
 from leactl.gap.equations import Equation, equations
 from leactl.gap.equations.contract import MEMORY_ROWS
-from leactl.gap.search.angle_periodogram import strongest
+from leactl.gap.search.angle_periodogram import strongest_orders
 from leactl.gap.search.regression import (
     Candidate,
     Column,
@@ -24,14 +24,14 @@ from leactl.gap.search.regression import (
     Normal,
     Rows,
     Stack,
-    bare,
+    add_columns,
     effect_columns,
     make_rows,
-    more_columns,
     residuals,
     stack,
+    without_model_columns,
 )
-from leactl.gap.search.stamp_fit import overdue, put_on_time, stamping
+from leactl.gap.search.stamp_fit import overdue_equations, put_on_time, stamp_weights
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.scales import angle_bounds, form_scales, widest_angle_range, worth_knowing
 from leactl.model.nominal import Model
@@ -61,19 +61,19 @@ PRIORS = {
 }
 """Physical priors of the nominal model's parameters: relative standard deviations unless a unit is given."""
 # effects that cannot be fitted where no back-EMF determines the torque constant
-GAINS = (
+UNDETERMINED_GAINS = (
     "torque_sensor_gain",
     "current_sensor_gain",
 )
-READINGS = {"coupled_torque", "locked_torque", "swung_torque"}  # torque sensors; without them the constant is held
-MOST_MOVED = 1.0  # largest change of an identifiable parameter in fits to sound machines, over its prior
-MISSED = 0.2  # share of a common bias of fits to sound machines that remains uncertain once it is corrected
-CORRECTED = 0.3  # largest relative bias of a parameter that is corrected: beyond it, the runs hardly show the parameter
-PINNED = 1e-4  # prior of a torque constant that no channel determines
-ROUNDED = 0.5  # smallest share of a sound machine's noise power due to rounding for the noise to be known
-NEGLIGIBLE = 0.05  # share of the smallest size worth knowing below which an effect is none
-NO_CORRELATION = 0.02
-FEW_LAGS = 6
+TORQUE_SENSOR_EQUATIONS = {"coupled_torque", "locked_torque", "swung_torque"}  # without them the constant is held
+MOST_PRIOR_CHANGE = 1.0  # change of an identifiable parameter in fits to sound machines, over its prior
+BIAS_DOUBT_SHARE = 0.2  # share of a bias common to sound machines that remains uncertain once it is corrected
+MOST_CORRECTED_BIAS = 0.3  # relative; with a larger bias the runs hardly show a parameter, and nothing is corrected
+PINNED_PRIOR = 1e-4  # prior of a torque constant that no channel determines
+LEAST_ROUNDING_SHARE = 0.5  # of a sound machine's noise power by rounding, from which the noise counts as known
+NEGLIGIBLE_SHARE = 0.05  # share of the smallest size worth knowing below which an effect counts as absent
+LEAST_CORRELATION = 0.02  # the sum over an autocorrelation ends at the first smaller one
+DIRECT_LAGS = 6  # lags whose correlations are computed one by one; beyond them by one transform for all
 ORDERS_TRIED = 3  # orders added for each periodic effect
 
 
@@ -93,18 +93,18 @@ class Null:
     kept: tuple[str, ...]  # those of them that no fit may move
 
     def bias(self, parameter: str) -> float:
-        """Return the mean relative change of a parameter in fits to sound machines; zero if it is above `CORRECTED`."""
+        """Return the mean relative change of a parameter in fits to sound machines; zero if it is above `MOST_CORRECTED_BIAS`."""
         bias = self.moved.get(parameter, (0.0, 0.0))[0]
-        return bias if abs(bias) <= CORRECTED else 0.0
+        return bias if abs(bias) <= MOST_CORRECTED_BIAS else 0.0
 
     def doubt(self, parameter: str) -> float:
         """Return the standard deviation of a parameter's relative change once its bias is corrected."""
-        return error_of(*self.moved.get(parameter, (0.0, 0.0)))
+        return bias_error(*self.moved.get(parameter, (0.0, 0.0)))
 
 
-def error_of(bias: float, scatter: float) -> float:
+def bias_error(bias: float, scatter: float) -> float:
     """Return the uncertainty of a relative change from a bias, corrected where it is small enough, and a scatter."""
-    return math.hypot(MISSED * bias if abs(bias) <= CORRECTED else bias, scatter)
+    return math.hypot(BIAS_DOUBT_SHARE * bias if abs(bias) <= MOST_CORRECTED_BIAS else bias, scatter)
 
 
 class Evidence:
@@ -124,7 +124,7 @@ class Evidence:
         self.by_form: dict[str, Sequence[float]] = {}  # floor of each effect by form, from sound machines
         self.lines: Mapping[tuple[str, str, str], float] = {}
         self.kept, self.unidentifiable = tuple(kept), tuple[str, ...]()  # parameters held at the model's value
-        self.forms, self.travel = forms_here(records, model), widest_angle_range(records)
+        self.forms, self.travel = forms_at_scales(records, model), widest_angle_range(records)
         self.visited = angle_bounds(records)
         self.form_spread: dict[Candidate, npt.NDArray[np.float64]] = {}  # covariance of the logarithms of refined forms
         self.candidates: list[Candidate] = list(only) if only is not None else every_form(self.forms)
@@ -133,7 +133,7 @@ class Evidence:
             built = equations(record, model)
             rows = make_rows(record.run, record.kind, built, self.candidates)
             pairs = [
-                (bare(equation), rows_of_equation)
+                (without_model_columns(equation), rows_of_equation)
                 for equation, rows_of_equation in zip(built, rows, strict=True)
                 if rows_of_equation is not None
             ]
@@ -143,21 +143,21 @@ class Evidence:
         made = self._rows()
         self.priors = dict(PRIORS)
         names = {rows.equation for rows in made}
-        if unscaled(names):
-            self.candidates = [c for c in self.candidates if c[0] not in GAINS]
-            if not names & READINGS:
-                self.priors["torque_constant"] = PINNED
-        self.priors.update(dict.fromkeys(self.kept, PINNED))
+        if lacks_scale(names):
+            self.candidates = [c for c in self.candidates if c[0] not in UNDETERMINED_GAINS]
+            if not names & TORQUE_SENSOR_EQUATIONS:
+                self.priors["torque_constant"] = PINNED_PRIOR
+        self.priors.update(dict.fromkeys(self.kept, PINNED_PRIOR))
         self.stack: Stack = stack(made, self.priors)
         self.weigh_as_usual()
         if on_time is None:
-            on_time = overdue(self.stack, self.settle([])) if made else ()
+            on_time = overdue_equations(self.stack, self.settle([])) if made else ()
         self.on_time = tuple(on_time)  # equations with a delay beyond what stamps can explain
         if self.on_time:
             put_on_time(self.stack.rows, self.on_time)
             self.stack = stack(self.stack.rows, self.priors)
         if only is None and made:
-            self.add(strongest(self.stack, self.settle([]), self.weights, ORDERS_TRIED))
+            self.add(strongest_orders(self.stack, self.settle([]), self.weights, ORDERS_TRIED))
 
     def _rows(self) -> list[Rows]:
         return [rows for _, made in self._made for rows in made]
@@ -176,7 +176,7 @@ class Evidence:
         self.null, self.lines = null, null.lines
         self.by_form = {effect: self.floors_of(effect, sizes) for effect, sizes in null.floors.items()}
         self.kept, self.unidentifiable = null.kept, null.unidentifiable
-        self.priors.update(dict.fromkeys(self.kept, PINNED))
+        self.priors.update(dict.fromkeys(self.kept, PINNED_PRIOR))
         self.stack = stack(self._rows(), self.priors)
         self.weigh_as_usual()
 
@@ -195,7 +195,7 @@ class Evidence:
             return floors
         seen_forms = [forms[index] for index in shown]
         return [
-            floor if index in shown else floors[shown[nearest(seen_forms, forms[index])]]
+            floor if index in shown else floors[shown[nearest_form(seen_forms, forms[index])]]
             for index, floor in enumerate(floors)
         ]
 
@@ -231,7 +231,9 @@ class Evidence:
         not: where other noise prevails, the noise of the rows counts.
         """
         sound = self.null.white.get((rows.equation, rows.run), 0.0) if self.null is not None else 0.0
-        return min(rows.white, math.sqrt(sound)) if rows.rounding**2 > ROUNDED * sound > 0.0 else rows.white
+        return (
+            min(rows.white, math.sqrt(sound)) if rows.rounding**2 > LEAST_ROUNDING_SHARE * sound > 0.0 else rows.white
+        )
 
     def is_judged(self, rows: Rows) -> bool:
         """Return whether the residual of some rows can be judged: whether a sound machine's residual there is known."""
@@ -239,19 +241,19 @@ class Evidence:
 
     def tells_nothing_of(self, parameter: str) -> bool:
         """Return whether these runs do not determine a parameter of the model, or every fit holds it."""
-        return parameter in self.unidentifiable or self.priors.get(parameter) == PINNED
+        return parameter in self.unidentifiable or self.priors.get(parameter) == PINNED_PRIOR
 
     def floor(self, candidate: Candidate) -> float:
         """Return the size below which one form of an effect is model error, or negligible.
 
-        It is the floor of the nearest form, at least `NEGLIGIBLE` of the smallest size worth knowing: sound machines
-        cannot show errors that they share with the equations.
+        It is the floor of the nearest form, at least `NEGLIGIBLE_SHARE` of the smallest size worth knowing: sound
+        machines cannot show errors that they share with the equations.
         """
         effect, form = candidate
-        floors, least = self.by_form.get(effect), NEGLIGIBLE * self.worth_knowing.get(effect, 0.0)
+        floors, least = self.by_form.get(effect), NEGLIGIBLE_SHARE * self.worth_knowing.get(effect, 0.0)
         if not floors:
             return least
-        return max(least, floors[nearest(self.forms[effect], form) if len(floors) > 1 else 0])
+        return max(least, floors[nearest_form(self.forms[effect], form) if len(floors) > 1 else 0])
 
     def add(self, candidates: Sequence[Candidate]) -> None:
         """Add further forms of effects to the regression."""
@@ -261,7 +263,7 @@ class Evidence:
         self.candidates += fresh
         for built, made in self._made:
             for rows, columns in zip(made, effect_columns(built, fresh), strict=True):
-                more_columns(rows, columns)
+                add_columns(rows, columns)
         self.stack = stack(self._rows(), self.priors)
 
     @property
@@ -309,7 +311,7 @@ class Evidence:
 
     def stamping(self, fit: Fit) -> dict[str, Array]:
         """Return the fitted weights of neighbouring samples, by equation with channels of unknown stamps."""
-        return {equation: weights for equation, (weights, _) in stamping(self.stack, fit).items()}
+        return {equation: weights for equation, (weights, _) in stamp_weights(self.stack, fit).items()}
 
     def settle(self, hypothesis: Sequence[Candidate], rounds: int = 2) -> Fit:
         """Fit a hypothesis and its residual noise in turns."""
@@ -352,12 +354,12 @@ def rows_per_independent(residual: Array, memory: int = MEMORY_ROWS) -> float:
     longest = min(memory, len(residual) // 4)
     total = 1.0
     for lag in range(1, longest):
-        if lag == FEW_LAGS:  # beyond a few lags, one transform for all costs less
+        if lag == DIRECT_LAGS:  # beyond a few lags, one transform for all costs less
             later_correlations = correlations(residual, longest)[lag:] / power
-            ends = np.flatnonzero(later_correlations <= NO_CORRELATION)
+            ends = np.flatnonzero(later_correlations <= LEAST_CORRELATION)
             return max(total + 2.0 * float(later_correlations[: ends[0] if len(ends) else None].sum()), 1.0)
         correlation = float(residual[lag:] @ residual[:-lag]) / power
-        if correlation <= NO_CORRELATION:
+        if correlation <= LEAST_CORRELATION:
             break
         total += 2.0 * correlation
     return max(total, 1.0)
@@ -370,18 +372,18 @@ def correlations(values: Array, lags: int) -> Array:
     return np.asarray(irfft(spectrum * np.conj(spectrum), size)[:lags], np.float64)
 
 
-def unscaled(names: set[str]) -> bool:
+def lacks_scale(names: set[str]) -> bool:
     """Return whether the equations only balance torques against each other: all zero would satisfy them, too."""
     return "voltage" not in names and "axis_torque" not in names and any(name.endswith("_torque") for name in names)
 
 
-def forms_here(records: Sequence[Record], model: Model) -> dict[str, list[Form]]:
+def forms_at_scales(records: Sequence[Record], model: Model) -> dict[str, list[Form]]:
     """Return the forms of every effect that applies to a model, at the scales of the machine and these runs."""
     scales = form_scales(records, model)
     return {effect.name: effect.forms_at(scales) for effect in library().values() if effect.applies(model)}
 
 
-def nearest(forms: Sequence[Form], form: Form) -> int:
+def nearest_form(forms: Sequence[Form], form: Form) -> int:
     """Return the index of the form nearest to one, by relative differences of their numbers."""
     distances = [
         sum(abs(a - b) / max(abs(a) + abs(b), 1e-300) for a, b in zip(candidate, form, strict=True))

@@ -25,31 +25,32 @@ from leactl.gap.search.stamp_fit import delay_of_stamps
 from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]
-MOST = 3  # largest number of effects in a set
-ENTRY = 3.2  # smallest size of an effect that enters a set, over its floor and uncertainty
-SAME = 1e-3  # difference of twice a log likelihood below which two fits are equally good
-EXCHANGES = 4  # most rounds of exchanging members
-MOVES = 4  # most moves of a form at each step size
-FINER = (1 / 3, 1 / 9, 1 / 27, 1 / 81)  # step sizes as shares of the grid's ratio, on a logarithmic scale
-SCANNED = 8  # trials from one value of a narrow effect's grid to the next
-ASCENTS = 8  # most steps along a ridge from the best form of the last grid
-ALIKE = 2.0  # difference in weighted squares below which forms cannot be told apart
+MOST_EFFECTS = 3  # effects in a set
+ENTRY_HEIGHT = 3.2  # smallest height of an effect that enters a set: its size over its floor and uncertainty
+EQUAL_FIT_DIFFERENCE = 1e-3  # difference of twice a log likelihood below which two fits are equally good
+MOST_EXCHANGES = 4  # rounds of exchanging members
+MOST_MOVES = 4  # moves of a form at each step size
+STEP_SHARES = (1 / 3, 1 / 9, 1 / 27, 1 / 81)  # step sizes as shares of the grid's ratio, on a logarithmic scale
+SCAN_STEPS = 8  # trials from one value of a narrow effect's grid to the next
+MOST_ASCENTS = 8  # steps along a ridge from the best form of the last grid
+LEAST_FORM_DIFFERENCE = 2.0  # difference in weighted squares below which forms cannot be told apart
 NOISE_ROUNDS = (2, 0)  # rounds of estimating the noise from a set's residuals; 0 keeps the usual noise
-SHORTLIST = 4  # most candidates of one ranking that are fitted
-USUAL_SPREAD = 2.0  # largest residual power that counts as usual, in units of a sound machine's noise power
+MOST_SHORTLISTED = 4  # candidates of one ranking that are fitted
+MOST_USUAL_POWER = 2.0  # largest residual power that counts as usual, in units of a sound machine's noise power
 WHOLE_ROUNDS = 2  # rounds of bringing shaped effects to their whole form
-WAVE = ("cos", "sin")  # coefficients that make one amplitude
+WAVE_COEFFICIENTS = ("cos", "sin")  # coefficients that make one amplitude
 OVERTONES = (2.0, 3.0)  # multiples of its order that a machine's wave also contains
-LOOSE, LOOSE_ERROR = 0.8, 0.1  # `explains` below which columns count as loose, and the form error of such an effect
-TIE = 1e-6  # share of its gain that the unusual one of two effects with equal columns loses; far above rounding
+LOOSE_SHARE = 0.8  # `explains` of an effect below which its columns count as loose
+LOOSE_FORM_ERROR = 0.1  # `FORM_ERROR` for an effect with loose columns
+TIE_SHARE = 1e-6  # share of its gain that the unusual one of two effects with equal columns loses; far above rounding
 RIVAL_FORM_ERROR = 0.005  # standard deviation, as a share of the gain, of the difference of two nearly right forms
-CLOSE = 10.0  # multiple of `apart` within which a rival's gain is close
-UNSHOWN = 0.05  # prior odds of a spring whose rest position no run passes, against an effect of constant direction
+CLOSE_RIVAL_FACTOR = 10.0  # multiple of `gain_tolerance` within which a rival's gain is close
+UNSHOWN_SPRING_ODDS = 0.05  # prior odds, against an effect of constant direction, of a spring whose rest no run passes
 FORM_ERROR = 0.03  # share of the explained squares that a set's forms may miss; 17 % of the amplitude
-ERROR_ELSEWHERE = 0.01  # `FORM_ERROR` for an effect that acts over other variables
-BEYOND = 2.0  # largest size met, over an effect's definition: a geared servo has half more than benches of one stage
-INTERVAL = 1.96  # standard deviations on either side that hold 95 %
-SHAPE = (0.3, 3.0)  # range of a shaped effect's fitted strength: neighbouring grid values are at most 2.1 times apart
+FORM_ERROR_ELSEWHERE = 0.01  # `FORM_ERROR` for an effect that acts over other variables
+MOST_SIZE_RATIO = 2.0  # largest possible size over the largest of an effect's definition; a geared servo has 1.5
+INTERVAL_STDS = 1.96  # standard deviations on either side that hold 95 %
+STRENGTH_RANGE = (0.3, 3.0)  # possible fitted strength of a shaped effect; neighbouring forms differ by up to 2.1 times
 
 
 @dataclass(frozen=True)
@@ -74,18 +75,18 @@ class FurtherEffect:
     @property
     def directed(self) -> Array:
         """Signed size; for a wave, the vector (cos, sin) whose length is the size."""
-        return self._scale * np.asarray(self.values)[leading_of(self.names)]
+        return self._scale * np.asarray(self.values)[leading_positions(self.names)]
 
     @property
     def directed_variance(self) -> float:
         """Variance of `directed`, summed over its coefficients."""
-        leading = leading_of(self.names)
+        leading = leading_positions(self.names)
         return self._scale**2 * float(np.trace(self.covariance[np.ix_(leading, leading)]))
 
     @property
     def _scale(self) -> float:
         """Ratio of the size to the length of the vector of leading coefficients."""
-        leading_values = np.asarray(self.values)[leading_of(self.names)]
+        leading_values = np.asarray(self.values)[leading_positions(self.names)]
         return self.size / max(float(np.linalg.norm(leading_values)), 1e-300)
 
     @property
@@ -95,7 +96,7 @@ class FurtherEffect:
         return beyond / math.hypot(self.std, self.floor)
 
 
-def finding(
+def fit_further_effect(
     evidence: Evidence,
     normal: Normal,
     base: npt.NDArray[np.intp],
@@ -118,21 +119,23 @@ def finding(
     gain, values, covariance = gain_of(normal, base, columns)
     effect = library()[candidate[0]]
     if not effect.is_usual(evidence.travel):
-        gain *= 1.0 - TIE
+        gain *= 1.0 - TIE_SHARE
     if effect.one_sided and values[0] <= 0.0 and not free:
         return None
-    if effect.shaped and not (covariance[0, 0] < SHAPE[1] ** 2 and (free or SHAPE[0] < values[0] < SHAPE[1])):
+    if effect.shaped and not (
+        covariance[0, 0] < STRENGTH_RANGE[1] ** 2 and (free or STRENGTH_RANGE[0] < values[0] < STRENGTH_RANGE[1])
+    ):
         return None
     if effect.shaped and whole:
         gain = float((2.0 * values[0] - 1.0) / covariance[0, 0])  # at strength 1, not at the fitted one
     names = tuple(evidence.coefficient(column) for column in columns)
     coefficients = dict(zip(names, values.tolist(), strict=True))
     if not free and not effect.is_distinct(candidate[1], coefficients, evidence.visited):
-        gain -= behind(gain)
+        gain -= constant_torque_penalty(gain)
     if effect.shaped and free:
-        coefficients[names[0]] = min(abs(coefficients[names[0]]), SHAPE[1])
+        coefficients[names[0]] = min(abs(coefficients[names[0]]), STRENGTH_RANGE[1])
     size = effect.size(candidate[1], coefficients, evidence.model)
-    leading = leading_of(names)
+    leading = leading_positions(names)
     leading_values, leading_covariance = values[leading], covariance[np.ix_(leading, leading)]
     length = max(float(np.linalg.norm(leading_values)), 1e-300)
     if not (np.isfinite(leading_values).all() and np.isfinite(leading_covariance).all()):
@@ -141,37 +144,37 @@ def finding(
     std = size / length * math.sqrt(max(float(direction @ leading_covariance @ direction), 0.0))
     floor = evidence.floor(candidate)
     if effect.delays:  # a delay within the uncertainty of stamps is no effect, however significant
-        floor = max(floor, delay_of_stamps(evidence.stack, evidence.on_time, candidate) / ENTRY)
+        floor = max(floor, delay_of_stamps(evidence.stack, evidence.on_time, candidate) / ENTRY_HEIGHT)
     by_chance = 2.0 * math.log(effect.orders[1] - effect.orders[0] + 1) if effect.periodic else 0.0
     result = FurtherEffect(candidate, gain, size, std, tuple(values.tolist()), names, covariance, floor, by_chance)
     return result if whole or free or is_possible(evidence, result) else None
 
 
-def leading_of(names: Sequence[str]) -> list[int]:
+def leading_positions(names: Sequence[str]) -> list[int]:
     """Return the positions of the coefficients that define an effect's size: both of a wave, else the first."""
-    return [k for k, name in enumerate(names) if name in WAVE] or [0]
+    return [k for k, name in enumerate(names) if name in WAVE_COEFFICIENTS] or [0]
 
 
-def apart(gain: float) -> float:
+def gain_tolerance(gain: float) -> float:
     """Return the difference of two effects' gains that noise and inexact forms explain."""
     return 1.0 + RIVAL_FORM_ERROR * gain
 
 
-def behind(gain: float) -> float:
+def constant_torque_penalty(gain: float) -> float:
     """Return the gain that an effect loses by prior odds where the runs show it only as a constant torque."""
-    return -2.0 * apart(gain) * math.log(UNSHOWN)
+    return -2.0 * gain_tolerance(gain) * math.log(UNSHOWN_SPRING_ODDS)
 
 
-def by_themselves(evidence: Evidence) -> dict[str, list[FurtherEffect | None]]:
+def fit_each_alone(evidence: Evidence) -> dict[str, list[FurtherEffect | None]]:
     """Fit every effect alone, with any sign, in each form of the grid; None for forms that no run shows."""
     normal, base = evidence.normal(), evidence.stack.columns_of([])
     tried: dict[str, list[FurtherEffect | None]] = {}
     for candidate in evidence.candidates:
-        tried.setdefault(candidate[0], []).append(finding(evidence, normal, base, candidate, free=True))
+        tried.setdefault(candidate[0], []).append(fit_further_effect(evidence, normal, base, candidate, free=True))
     return tried
 
 
-def sizes_by_chance(name: str, items: Sequence[FurtherEffect | None]) -> list[float]:
+def sizes_beyond_noise(name: str, items: Sequence[FurtherEffect | None]) -> list[float]:
     """Return the size of an effect beyond noise in each form of the grid; empty where no form gains.
 
     The size is measured in the form with the largest gain and scaled to the other forms by their standard errors: a
@@ -186,7 +189,7 @@ def sizes_by_chance(name: str, items: Sequence[FurtherEffect | None]) -> list[fl
     count = effect.orders[1] - effect.orders[0] + 1 if effect.periodic else len(effect.forms)
     beyond = math.sqrt(max(best.size**2 - best.std**2 * (1.0 + 2.0 * math.log(count)), 0.0))
     stds = [best.std if item is None or effect.periodic else item.std for item in items]
-    most = BEYOND * effect_definition(name).largest
+    most = MOST_SIZE_RATIO * effect_definition(name).largest
     sizes = [min(beyond * std / best.std, most) for std in stds]
     return sizes[:1] if effect.periodic else sizes
 
@@ -199,23 +202,23 @@ def standard_errors(name: str, items: Sequence[FurtherEffect | None]) -> list[fl
 
 def is_possible(evidence: Evidence, item: FurtherEffect) -> bool:
     """Return whether an effect is met in the fitted size; a wave within noise is always possible."""
-    if is_beyond_range(item) or item.size + INTERVAL * item.std < library()[item.effect].least:
+    if is_beyond_range(item) or item.size + INTERVAL_STDS * item.std < library()[item.effect].least:
         return False
     columns = evidence.columns(item.candidate)
-    return item.height <= ENTRY or not outweighs(evidence.stack, columns, np.asarray(item.values))
+    return item.height <= ENTRY_HEIGHT or not outweighs_equation(evidence.stack, columns, np.asarray(item.values))
 
 
 def is_beyond_range(item: FurtherEffect) -> bool:
     """Return whether the whole interval of an effect's size lies beyond the range in which the effect is met."""
-    return item.size - INTERVAL * item.std > BEYOND * effect_definition(item.effect).largest
+    return item.size - INTERVAL_STDS * item.std > MOST_SIZE_RATIO * effect_definition(item.effect).largest
 
 
-def outweighs(stack: Stack, columns: npt.NDArray[np.intp], values: Array) -> bool:
+def outweighs_equation(stack: Stack, columns: npt.NDArray[np.intp], values: Array) -> bool:
     """Return whether a wave over the angle is larger than all other parts of an equation together.
 
     Where the shaft hardly turns, such a wave is a straight line over the angle, and another cause makes it.
     """
-    if not all(stack.names[column][3] in WAVE for column in columns):
+    if not all(stack.names[column][3] in WAVE_COEFFICIENTS for column in columns):
         return False
     for gram, local in zip(stack.grams, stack.local, strict=True):
         wave_parts = 1 + np.flatnonzero(np.isin(local, columns))
@@ -239,7 +242,7 @@ def best_of_each(
     for candidate in evidence.candidates:
         if candidate[0] in effects_in_set:
             continue
-        further = finding(evidence, normal, base, candidate, whole)
+        further = fit_further_effect(evidence, normal, base, candidate, whole)
         if further is not None and (candidate[0] not in best or further.gain > best[candidate[0]].gain):
             best[candidate[0]] = further
     return sorted(best.values(), key=lambda item: -item.gain)
@@ -267,9 +270,9 @@ class EffectSet:
         what is missing there.
         """
         candidate = self.members[index].candidate
-        squares_taken = shared_with(evidence, candidate, self.taken)
+        squares_taken = sum_where_acting(evidence, candidate, self.taken)
         share_where_touched = (
-            squares_taken / (squares_taken + shared_with(evidence, candidate, self.left))
+            squares_taken / (squares_taken + sum_where_acting(evidence, candidate, self.left))
             if squares_taken > 0.0
             else 0.0
         )
@@ -294,8 +297,8 @@ class EffectSet:
 def search(evidence: Evidence) -> EffectSet:
     """Find the set of effects that explains the runs."""
     hypothesis: list[Candidate] = []
-    while len(hypothesis) < MOST:
-        added = step(evidence, hypothesis)
+    while len(hypothesis) < MOST_EFFECTS:
+        added = effect_to_add(evidence, hypothesis)
         if added is None:
             break
         hypothesis = exchange(evidence, [*hypothesis, added])
@@ -304,7 +307,7 @@ def search(evidence: Evidence) -> EffectSet:
     return describe(evidence, prune(evidence, refine(evidence, hypothesis)))
 
 
-def step(evidence: Evidence, hypothesis: Sequence[Candidate]) -> Candidate | None:
+def effect_to_add(evidence: Evidence, hypothesis: Sequence[Candidate]) -> Candidate | None:
     """Return the effect to add to a hypothesis, or None where no effect is above its floor.
 
     Effects are ranked twice. Under the usual noise an effect on all channels ranks first, under the noise that the
@@ -317,7 +320,9 @@ def step(evidence: Evidence, hypothesis: Sequence[Candidate]) -> Candidate | Non
             evidence.settle([*hypothesis, candidate])
             trials.append((evidence.surprise(), candidate))
         least = min(surprise for surprise, _ in trials)
-        return next(candidate for surprise, candidate in trials if surprise < least + SAME)  # the first of the list
+        return next(
+            candidate for surprise, candidate in trials if surprise < least + EQUAL_FIT_DIFFERENCE
+        )  # the first of the list
     return listed[0] if listed else None
 
 
@@ -329,9 +334,9 @@ def shortlist(evidence: Evidence, hypothesis: Sequence[Candidate]) -> list[Candi
         ranked = [
             item.candidate
             for item in best_of_each(evidence, test.normal, hypothesis)
-            if item.height > ENTRY and test.exceeds_form_error(item.candidate)
+            if item.height > ENTRY_HEIGHT and test.exceeds_form_error(item.candidate)
         ]
-        listed += [candidate for candidate in ranked[:SHORTLIST] if candidate not in listed]
+        listed += [candidate for candidate in ranked[:MOST_SHORTLISTED] if candidate not in listed]
     return listed
 
 
@@ -358,38 +363,38 @@ class CandidateTest:
         self._reductions = {name: self._reduction_by(fit, hypothesis, k) for k, (name, _) in enumerate(hypothesis)}
 
     def exceeds_form_error(self, candidate: Candidate) -> bool:
-        """Return whether a candidate lowers the misfit by `ENTRY` squared more than errors of the set's forms could.
+        """Return whether a candidate lowers the misfit by `ENTRY_HEIGHT` squared more than errors of the set's forms could.
 
         In each equation a change of either sign up to the allowance counts as none; the cost of the parameters' priors
         counts in full.
         """
         larger = self.normal.fit([*self._wider, candidate])
         reduction = self._fit.misfit - larger.misfit
-        for equation, change in by_equation(self.normal, reduction_by_rows(self.normal, self._fit, larger)).items():
+        for equation, change in sum_by_equation(self.normal, reduction_by_rows(self.normal, self._fit, larger)).items():
             allowance = sum(
                 form_error(name, candidate[0]) * max(of_member[equation], 0.0)
                 for name, of_member in self._reductions.items()
             )
             reduction -= min(max(change, -allowance), allowance)
-        return reduction > ENTRY**2 and outdoes_free_forms(self.normal, self._wider, candidate)
+        return reduction > ENTRY_HEIGHT**2 and outdoes_free_forms(self.normal, self._wider, candidate)
 
     def _reduction_by(self, fit: Fit, hypothesis: Sequence[Candidate], index: int) -> dict[str, float]:
         """Return by how much one member lowers the misfit of each equation in addition to the other members."""
         others = [*hypothesis[:index], *hypothesis[index + 1 :]]
-        return by_equation(self.normal, reduction_by_rows(self.normal, self.normal.fit(others), fit))
+        return sum_by_equation(self.normal, reduction_by_rows(self.normal, self.normal.fit(others), fit))
 
 
 def form_error(effect: str, other: str) -> float:
     """Return the share of the misfit removed by `effect` that `other` could remove because the first form is inexact.
 
-    `LOOSE_ERROR` for an effect whose columns are known to be loose; `FORM_ERROR` for two effects that act over a common
-    variable and are both waves over the angle or neither; else `ERROR_ELSEWHERE`.
+    `LOOSE_FORM_ERROR` for an effect whose columns are known to be loose; `FORM_ERROR` for two effects that act over a
+    common variable and are both waves over the angle or neither; else `FORM_ERROR_ELSEWHERE`.
     """
-    if library()[effect].explains < LOOSE:
-        return LOOSE_ERROR
+    if library()[effect].explains < LOOSE_SHARE:
+        return LOOSE_FORM_ERROR
     first_variables, second_variables = (set(effect_definition(name).acts_over) for name in (effect, other))
     both_or_neither_wave = (library()[effect].orders[1] > 0) == (library()[other].orders[1] > 0)
-    return FORM_ERROR if first_variables & second_variables and both_or_neither_wave else ERROR_ELSEWHERE
+    return FORM_ERROR if first_variables & second_variables and both_or_neither_wave else FORM_ERROR_ELSEWHERE
 
 
 def overtones_of(hypothesis: Sequence[Candidate]) -> list[Candidate]:
@@ -402,7 +407,7 @@ def overtones_of(hypothesis: Sequence[Candidate]) -> list[Candidate]:
     ]
 
 
-def by_equation(normal: Normal, amounts: Sequence[float]) -> dict[str, float]:
+def sum_by_equation(normal: Normal, amounts: Sequence[float]) -> dict[str, float]:
     """Sum amounts, one for each group of rows, over each equation."""
     sums: dict[str, float] = {}
     for rows, amount in zip(normal.stack.rows, amounts, strict=True):
@@ -418,7 +423,7 @@ def reduction_by_rows(normal: Normal, before: Fit, after: Fit) -> list[float]:
     ]
 
 
-def shared_with(evidence: Evidence, candidate: Candidate, explained: Sequence[float]) -> float:
+def sum_where_acting(evidence: Evidence, candidate: Candidate, explained: Sequence[float]) -> float:
     """Sum the squares explained over the groups of rows that hold a column of a candidate."""
     key = (candidate[0], repr(candidate[1]))
     return sum(
@@ -430,12 +435,12 @@ def shared_with(evidence: Evidence, candidate: Candidate, explained: Sequence[fl
 
 def exchange(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
     """Replace each member by the best effect in its place, the other members held, until no effect changes."""
-    for _ in range(EXCHANGES):
+    for _ in range(MOST_EXCHANGES):
         evidence.settle(hypothesis)
         normal, changed = evidence.normal(), False
         for index in range(len(hypothesis)):
             others = hypothesis[:index] + hypothesis[index + 1 :]
-            ranked = [item for item in best_of_each(evidence, normal, others) if item.height > ENTRY]
+            ranked = [item for item in best_of_each(evidence, normal, others) if item.height > ENTRY_HEIGHT]
             if ranked and ranked[0].candidate != hypothesis[index]:
                 changed = changed or ranked[0].effect != hypothesis[index][0]
                 hypothesis = [*hypothesis[:index], ranked[0].candidate, *hypothesis[index + 1 :]]
@@ -451,11 +456,11 @@ def refine(evidence: Evidence, hypothesis: list[Candidate], shapes: bool = True)
     """
     for index, candidate in enumerate(hypothesis):
         if shapes or not strength_tells_form(*candidate):
-            hypothesis[index] = refined_beside(evidence, hypothesis[:index] + hypothesis[index + 1 :], candidate)
+            hypothesis[index] = refine_member(evidence, hypothesis[:index] + hypothesis[index + 1 :], candidate)
     return hypothesis
 
 
-def refined_beside(evidence: Evidence, others: list[Candidate], candidate: Candidate) -> Candidate:
+def refine_member(evidence: Evidence, others: list[Candidate], candidate: Candidate) -> Candidate:
     """Return the candidate in its best form beside other members; store that form's covariance in the evidence."""
     name, form = candidate
     effect = library()[name]
@@ -464,11 +469,11 @@ def refined_beside(evidence: Evidence, others: list[Candidate], candidate: Candi
     grids = [grid_values(position, form, evidence.forms.get(name, [])) for position in range(effect.refined)]
     ratios = [max((b / a for a, b in pairwise(grid)), default=1.0) for grid in grids]
     if effect.narrow:
-        form = scanned(evidence, others, name, form, ratios[0])
-    form = refined(evidence, others, name, form, ratios)
+        form = best_scanned_form(evidence, others, name, form, ratios[0])
+    form = refined_form(evidence, others, name, form, ratios)
     if not strength_tells_form(name, form):
         if effect.refined > 1:
-            form = summit(evidence, others, (name, form), ratios)
+            form = nearest_summit(evidence, others, (name, form), ratios)
         evidence.form_spread[name, form] = spread_of_form(evidence, others, (name, form), ratios)
     return name, form
 
@@ -486,16 +491,16 @@ def replace_by_refined_rivals(evidence: Evidence, hypothesis: list[Candidate]) -
         close = [
             item.candidate
             for item in ranked
-            if item.height > ENTRY
-            and gain - item.gain < CLOSE * apart(gain)
+            if item.height > ENTRY_HEIGHT
+            and gain - item.gain < CLOSE_RIVAL_FACTOR * gain_tolerance(gain)
             and item.effect != candidate[0]
             and not strength_tells_form(*item.candidate)
         ]
-        for rival in close[:SHORTLIST]:
-            refined_beside(evidence, others, rival)  # its finer forms are among the candidates from here on
+        for rival in close[:MOST_SHORTLISTED]:
+            refine_member(evidence, others, rival)  # its finer forms are among the candidates from here on
         if close:
             best = best_of_each(evidence, evidence.normal(), others)
-            if best[0].height > ENTRY:
+            if best[0].height > ENTRY_HEIGHT:
                 hypothesis[index] = best[0].candidate
     return hypothesis
 
@@ -517,7 +522,7 @@ class LocalShape(NamedTuple):
     curvature: npt.NDArray[np.float64]
 
 
-def about_form(
+def local_shape(
     evidence: Evidence, others: list[Candidate], candidate: Candidate, ratios: Sequence[float]
 ) -> LocalShape | None:
     """Measure slope and curvature of the gain about a form.
@@ -528,9 +533,9 @@ def about_form(
     free = [index for index, ratio in enumerate(ratios) if ratio > 1.0]
     if not free:
         return None
-    steps = [FINER[-1] * math.log(ratios[index]) for index in free]
+    steps = [STEP_SHARES[-1] * math.log(ratios[index]) for index in free]
     moves = [move for move in product((-1, 0, 1), repeat=len(free)) if sum(map(abs, move)) <= 2]
-    forms = {move: moved(form, dict(zip(free, map(mul, move, steps), strict=True))) for move in moves}
+    forms = {move: scaled_form(form, dict(zip(free, map(mul, move, steps), strict=True))) for move in moves}
     gains, all_possible = gains_of(evidence, others, [(name, forms[move]) for move in moves])
     if not all_possible:
         return None
@@ -549,29 +554,29 @@ def about_form(
     return LocalShape(free, steps, np.array([rise for rise, _ in along]), curvature)
 
 
-def moved(form: Form, logs: Mapping[int, float]) -> Form:
+def scaled_form(form: Form, logs: Mapping[int, float]) -> Form:
     """Return a form with some of its numbers multiplied by the exponentials of these logarithms, by position."""
     return tuple(number * math.exp(logs.get(index, 0.0)) for index, number in enumerate(form))
 
 
-def summit(evidence: Evidence, others: list[Candidate], candidate: Candidate, ratios: Sequence[float]) -> Form:
+def nearest_summit(evidence: Evidence, others: list[Candidate], candidate: Candidate, ratios: Sequence[float]) -> Form:
     """Return the form of the largest gain nearby, by Newton steps.
 
     Where two numbers compensate each other, the points of a grid may all lie beside the ridge that leads there. No step
     is longer than the first ones of the search in any number; the form stays where the gain is not curved downwards.
     """
     name, form = candidate
-    for _ in range(ASCENTS):
-        local = about_form(evidence, others, (name, form), ratios)
+    for _ in range(MOST_ASCENTS):
+        local = local_shape(evidence, others, (name, form), ratios)
         if local is None or np.linalg.eigvalsh(local.curvature)[0] <= 0.0:
             break
         ascent = 0.5 * np.linalg.solve(local.curvature, local.slope)
-        longest = FINER[0] / FINER[-1]
+        longest = STEP_SHARES[0] / STEP_SHARES[-1]
         ascent *= longest / max(float(np.max(np.abs(ascent))), longest)
         logs = dict(zip(local.free, (ascent * local.steps).tolist(), strict=True))
-        further = moved(form, logs)
+        further = scaled_form(form, logs)
         gains, _ = gains_of(evidence, others, [(name, form), (name, further)])
-        if gains.get(further, -math.inf) <= gains[form] + SAME:
+        if gains.get(further, -math.inf) <= gains[form] + EQUAL_FIT_DIFFERENCE:
             break
         form = further
     return form
@@ -587,7 +592,7 @@ def spread_of_form(
     direction, or a neighbouring form is not possible, and zero for a number that is not refined.
     """
     spread = np.diag([math.inf if ratio > 1.0 else 0.0 for ratio in ratios])
-    local = about_form(evidence, others, candidate, ratios)
+    local = local_shape(evidence, others, candidate, ratios)
     if local is not None and np.linalg.eigvalsh(local.curvature)[0] > 0.0:
         spread[np.ix_(local.free, local.free)] = np.linalg.inv(local.curvature) * np.outer(local.steps, local.steps)
     return spread
@@ -602,12 +607,12 @@ def grid_values(position: int, form: Form, forms: Sequence[Form]) -> list[float]
     return sorted(matching_values or {grid_form[position] for grid_form in forms})
 
 
-def scanned(evidence: Evidence, others: list[Candidate], name: str, form: Form, ratio: float) -> Form:
+def best_scanned_form(evidence: Evidence, others: list[Candidate], name: str, form: Form, ratio: float) -> Form:
     """Return the best form between one form and its grid neighbours; a narrow effect may have several local optima.
 
     ratio : ratio of neighbouring grid values of the first parameter.
     """
-    first_values = [form[0] * ratio ** (step / SCANNED) for step in range(-SCANNED, SCANNED + 1)]
+    first_values = [form[0] * ratio ** (step / SCAN_STEPS) for step in range(-SCAN_STEPS, SCAN_STEPS + 1)]
     tails = sorted({grid_form[1:] for grid_form in evidence.forms.get(name, [])} | {form[1:]})
     gains, _ = gains_of(evidence, others, [(name, (value, *tail)) for value, tail in product(first_values, tails)])
     return max(gains, key=lambda tried_form: gains[tried_form], default=form)
@@ -617,31 +622,31 @@ def gains_of(evidence: Evidence, others: list[Candidate], tried: list[Candidate]
     """Return the gain of each possible form beside other members, and whether every form is possible."""
     evidence.add(tried)
     normal, base = evidence.normal(), evidence.stack.columns_of(others)
-    possible = [item for trial in tried if (item := finding(evidence, normal, base, trial)) is not None]
+    possible = [item for trial in tried if (item := fit_further_effect(evidence, normal, base, trial)) is not None]
     return {item.candidate[1]: item.gain for item in possible}, len(possible) == len(tried)
 
 
-def refined(evidence: Evidence, others: list[Candidate], name: str, form: Form, ratios: Sequence[float]) -> Form:
+def refined_form(evidence: Evidence, others: list[Candidate], name: str, form: Form, ratios: Sequence[float]) -> Form:
     """Search for a better form in the neighbourhood of one form.
 
     Every combination of one step down, no step and one step up is tried for the first parameters together, since they
-    can compensate each other. Steps become finer (`FINER`); the search ends where all trials gain alike.
+    can compensate each other. Steps become finer (`STEP_SHARES`); the search ends where all trials gain alike.
 
     ratios : the largest ratio of neighbouring grid values of each of these parameters.
     """
     # a fitted strength below one is equal to another form of such an effect, which `make_whole` finds at once: larger
     # moves would lead to a fraction of a longer delay
     strength_is_form = strength_tells_form(name, form)
-    for part in FINER[:2] if strength_is_form else FINER:
-        for _ in range(1 if strength_is_form else MOVES):
+    for part in STEP_SHARES[:2] if strength_is_form else STEP_SHARES:
+        for _ in range(1 if strength_is_form else MOST_MOVES):
             steps = product(*((ratio**-part, 1.0, ratio**part) if ratio > 1.0 else (1.0,) for ratio in ratios))
             tried = [(name, (*map(mul, form, step), *form[len(step) :])) for step in steps]
             gains, all_possible = gains_of(evidence, others, tried)
             best = max(gains, key=lambda tried_form: gains[tried_form], default=form)
-            if gains.get(best, -math.inf) <= gains.get(form, -math.inf) + SAME:
+            if gains.get(best, -math.inf) <= gains.get(form, -math.inf) + EQUAL_FIT_DIFFERENCE:
                 break
             form = best
-        if all_possible and max(gains.values()) - min(gains.values()) < ALIKE:
+        if all_possible and max(gains.values()) - min(gains.values()) < LEAST_FORM_DIFFERENCE:
             break
     return form
 
@@ -654,17 +659,17 @@ def prune(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
         members = [member(evidence, normal, hypothesis, k) for k in range(len(hypothesis))]
         heights = [item.height if item is not None else 0.0 for item in members]
         lowest_first = [int(k) for k in np.argsort(heights, kind="stable")]
-        if heights[lowest_first[0]] <= ENTRY:
+        if heights[lowest_first[0]] <= ENTRY_HEIGHT:
             unsupported: int | None = lowest_first[0]
         else:
-            unsupported = next((k for k in lowest_first if not stands_beside(evidence, hypothesis, k)), None)
+            unsupported = next((k for k in lowest_first if not is_supported(evidence, hypothesis, k)), None)
         if unsupported is None:
             break
         hypothesis = hypothesis[:unsupported] + hypothesis[unsupported + 1 :]
     return hypothesis
 
 
-def stands_beside(evidence: Evidence, hypothesis: Sequence[Candidate], index: int) -> bool:
+def is_supported(evidence: Evidence, hypothesis: Sequence[Candidate], index: int) -> bool:
     """Return whether a member lowers the misfit by more than form errors of the others could, under either noise."""
     others = [*hypothesis[:index], *hypothesis[index + 1 :]]
     return any(CandidateTest(evidence, others, n).exceeds_form_error(hypothesis[index]) for n in NOISE_ROUNDS)
@@ -673,26 +678,26 @@ def stands_beside(evidence: Evidence, hypothesis: Sequence[Candidate], index: in
 def member(evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], index: int) -> FurtherEffect | None:
     """Fit one member of a set in addition to the other members."""
     others = [*hypothesis[:index], *hypothesis[index + 1 :]]
-    return finding(evidence, normal, evidence.stack.columns_of(others), hypothesis[index])
+    return fit_further_effect(evidence, normal, evidence.stack.columns_of(others), hypothesis[index])
 
 
 def describe(evidence: Evidence, hypothesis: list[Candidate]) -> EffectSet:
     """Return a set with its members, their rivals and the further effects, under the weights of the set."""
     hypothesis = make_whole(evidence, hypothesis)
-    squares_taken, squares_left = taken_and_left(evidence, hypothesis)
+    squares_taken, squares_left = squares_taken_and_left(evidence, hypothesis)
     fit = evidence.settle(hypothesis)
     normal = evidence.normal()
     members, rivals, moved, missed = [], [], [], dict[Candidate, float]()
     for index in range(len(hypothesis)):
         others = hypothesis[:index] + hypothesis[index + 1 :]
         moved.append([abs(amount) for amount in reduction_by_rows(normal, normal.fit(others), fit)])
-        item = finding(evidence, normal, evidence.stack.columns_of(others), hypothesis[index], whole=True)
+        item = fit_further_effect(evidence, normal, evidence.stack.columns_of(others), hypothesis[index], whole=True)
         if item is None:  # in its whole form it is no possible effect beside the other members
             return describe(evidence, others)
         members.append(item)
         ranked = best_of_each(evidence, normal, others, whole=True)
         rivals.append([item, *(r for r in ranked if r.effect != item.effect and is_possible(evidence, r))])
-        close = [r.candidate for r in rivals[-1] if item.gain - r.gain < CLOSE * apart(item.gain)]
+        close = [r.candidate for r in rivals[-1] if item.gain - r.gain < CLOSE_RIVAL_FACTOR * gain_tolerance(item.gain)]
         if len(close) > 1:
             missed |= {rival: missed_by_form(normal, [*others, rival], rival) for rival in close}
     further_effects = best_of_each(evidence, normal, hypothesis)
@@ -706,14 +711,14 @@ def make_whole(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidat
         for _ in range(WHOLE_ROUNDS):
             evidence.settle(hypothesis)
             best = best_of_each(evidence, evidence.normal(), others)
-            shaped = [item for item in best if library()[item.effect].shaped and item.height > ENTRY]
+            shaped = [item for item in best if library()[item.effect].shaped and item.height > ENTRY_HEIGHT]
             whole_forms = [(item.effect, whole_form(item)) for item in shaped]
             evidence.add(whole_forms)
             for candidate in whole_forms:
                 if candidate[0] == hypothesis[index][0]:
                     hypothesis[index] = candidate
         normal = evidence.normal()
-        ranked = [r for r in best_of_each(evidence, normal, others, whole=True) if r.height > ENTRY]
+        ranked = [r for r in best_of_each(evidence, normal, others, whole=True) if r.height > ENTRY_HEIGHT]
         if ranked and library()[ranked[0].effect].shaped and library()[hypothesis[index][0]].shaped:
             hypothesis[index] = ranked[0].candidate
     return hypothesis
@@ -725,12 +730,12 @@ def whole_form(item: FurtherEffect) -> tuple[float, ...]:
     return tuple(float(f"{value:.3g}") for value in form)
 
 
-def taken_and_left(
+def squares_taken_and_left(
     evidence: Evidence, hypothesis: Sequence[Candidate], sound: bool = False
 ) -> tuple[list[float], list[float]]:
     """Return, by group of rows, the weighted squares that a set with its overtones explains, and those that remain.
 
-    Both are weighted by the usual noise; what remains counts beyond `USUAL_SPREAD`.
+    Both are weighted by the usual noise; what remains counts beyond `MOST_USUAL_POWER`.
 
     sound : whether the usual noise is a sound machine's where that is lower.
     """
@@ -741,7 +746,7 @@ def taken_and_left(
     fit_without, fit_with = normal.fit(), normal.fit([*hypothesis, *overtones])
     squares_taken = [max(amount, 0.0) for amount in reduction_by_rows(normal, fit_without, fit_with)]
     squares_left = [
-        max(normal.weights[k] * normal.residual(fit_with, k) ** 2 - USUAL_SPREAD, 0.0) * len(rows.left_over)
+        max(normal.weights[k] * normal.residual(fit_with, k) ** 2 - MOST_USUAL_POWER, 0.0) * len(rows.left_over)
         for k, rows in enumerate(normal.stack.rows)
     ]
     return squares_taken, squares_left

@@ -11,12 +11,12 @@ from leactl.effects import library
 from leactl.gap.diagnosis import CalibratedParameter, EffectParameter
 from leactl.gap.search.effect_regression import PRIORS, Evidence
 from leactl.gap.search.regression import Candidate, Fit, disagreement
-from leactl.gap.search.stamp_fit import LATE_STD
+from leactl.gap.search.stamp_fit import STAMP_DELAY_STD
 from leactl.model.nominal import MOST_OFFSET, EffectEntry, Model, as_mapping
 from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]
-RECIPROCAL = (
+RECIPROCAL_PARAMETERS = (
     "thermal.winding_ambient_resistance",
     "thermal.winding_housing_resistance",
     "thermal.housing_ambient_resistance",
@@ -36,9 +36,9 @@ MODEL_ERROR = {
     "thermal.housing_capacitance": 8e-4,
 }
 """Relative error of a parameter from the discretised equations, in addition to noise."""
-SMALLEST = 0.05  # smallest ratio of fitted to nominal value, and reciprocal of the largest for reciprocal parameters
-LEAST_MODEL_ERROR = 5e-5
-UNSHOWN = 0.01  # step of the derivative along a change whose variance is infinite
+LEAST_RATIO = 0.05  # of fitted to nominal value; its reciprocal is the largest ratio of a reciprocal parameter
+LEAST_MODEL_ERROR = 5e-5  # relative error of a parameter that `MODEL_ERROR` does not name
+UNSHOWN_STEP = 0.01  # step of the derivative along a change whose variance is infinite
 UNITS = {
     "phase_resistance": "ohm",
     "phase_inductance": "H",
@@ -63,7 +63,7 @@ UNITS = {
 }
 
 
-def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
+def calibrated_parameters(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
     """Return the calibrated parameters of the nominal model under a fit."""
     parameters = []
     normal = evidence.normal()
@@ -90,7 +90,7 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
         fitted_factor, bias_factor = factor_of(parameter, change), factor_of(parameter, bias)
         factor, slope = (
             fitted_factor / bias_factor,
-            (fitted_factor**2 if parameter in RECIPROCAL else 1.0) / bias_factor,
+            (fitted_factor**2 if parameter in RECIPROCAL_PARAMETERS else 1.0) / bias_factor,
         )
         units = UNITS.get(parameter, "")
         parameters.append(CalibratedParameter(parameter, nominal, nominal * factor, nominal * std * slope, units))
@@ -105,7 +105,9 @@ def calibrated(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
 
 def factor_of(parameter: str, change: float) -> float:
     """Return the factor on a parameter for a fitted relative change."""
-    return 1.0 / max(1.0 - change, SMALLEST) if parameter in RECIPROCAL else max(1.0 + change, SMALLEST)
+    return (
+        1.0 / max(1.0 - change, LEAST_RATIO) if parameter in RECIPROCAL_PARAMETERS else max(1.0 + change, LEAST_RATIO)
+    )
 
 
 def kept_as_nominal(model: Model, parameter: str) -> list[CalibratedParameter]:
@@ -122,7 +124,7 @@ def kept_as_nominal(model: Model, parameter: str) -> list[CalibratedParameter]:
     ]
 
 
-def at_bound(item: CalibratedParameter) -> bool:
+def is_at_bound(item: CalibratedParameter) -> bool:
     """Return whether a fit ended at the bound of a parameter: the data ask for a larger change than is allowed.
 
     A feedforward is a fit itself, and its kS and kA may contain all that it leaves out: they have no bound.
@@ -132,7 +134,7 @@ def at_bound(item: CalibratedParameter) -> bool:
     if item.parameter in ("feedforward.kS", "feedforward.kA") or not item.nominal:
         return False
     factor = item.fitted / item.nominal
-    return not SMALLEST * (1.0 + 1e-9) < factor < (1.0 - 1e-9) / SMALLEST
+    return not LEAST_RATIO * (1.0 + 1e-9) < factor < (1.0 - 1e-9) / LEAST_RATIO
 
 
 def nominal_value(model: Model, parameter: str) -> float | None:
@@ -187,7 +189,7 @@ def fitted_over_nominal(evidence: Evidence, fit: Fit, candidate: Candidate) -> f
     return fitted / nominal if nominal > 0.0 and fitted > 0.0 else 1.0
 
 
-def about(evidence: Evidence, fit: Fit, candidate: Candidate) -> Candidate:
+def next_linearisation(evidence: Evidence, fit: Fit, candidate: Candidate) -> Candidate:
     """Return a fitted effect in the form about which its columns are linearised next."""
     name, form = candidate
     values = dict(zip(fit.columns.tolist(), fit.values.tolist(), strict=True))
@@ -222,16 +224,16 @@ def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tup
         return with_form([*(form[: len(logs)] * np.exp(logs)), *form[len(logs) :]], values)
 
     parameters, units = with_form(form, values), effect_definition(name).parameters
-    variances = propagated(parameters, lambda change: with_form(form, values + change), spread)
+    variances = propagated_variances(parameters, lambda change: with_form(form, values + change), spread)
     refined = evidence.form_spread.get(candidate)
     if refined is not None:
         form_covariance = widening * refined
         # an error of this size means that no run shows the number
-        undetermined = np.diag(form_covariance) > math.log(SMALLEST) ** 2
+        undetermined = np.diag(form_covariance) > math.log(LEAST_RATIO) ** 2
         form_covariance[undetermined, undetermined] = math.inf
-        form_variances = propagated(parameters, with_logs, form_covariance)
+        form_variances = propagated_variances(parameters, with_logs, form_covariance)
         variances = {key: variances[key] + form_variances[key] for key in parameters}
-    stamp_error = stamps_late(evidence, candidate)
+    stamp_error = stamp_delay_std(evidence, candidate)
     return tuple(
         EffectParameter(
             key,
@@ -243,7 +245,7 @@ def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tup
     )
 
 
-def propagated(
+def propagated_variances(
     parameters: Mapping[str, float], parameters_after: Callable[[Array], dict[str, float]], covariance: Array
 ) -> dict[str, float]:
     """Return the variance of each parameter to first order; infinite if it depends on a change that no run shows.
@@ -256,7 +258,7 @@ def propagated(
     steps = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     shown = np.isfinite(covariance).all(axis=1)
     slopes = {key: np.zeros(len(covariance)) for key in parameters}
-    for k, step in enumerate(np.where(shown, steps, UNSHOWN)):
+    for k, step in enumerate(np.where(shown, steps, UNSHOWN_STEP)):
         if step > 0.0:
             moved = parameters_after(step * np.eye(len(covariance))[k])
             for key in parameters:
@@ -270,14 +272,14 @@ def propagated(
     }
 
 
-def stamps_late(evidence: Evidence, candidate: Candidate) -> float:
+def stamp_delay_std(evidence: Evidence, candidate: Candidate) -> float:
     """Return the standard deviation [s] that stamps of unknown meaning add to an effect's delay; zero for known stamps.
 
     Stamps and a delay of the machine cannot be separated; a delay below what stamps may add is not named.
     """
     effect, form = candidate
     errors = [
-        LATE_STD * rows.signals.interval
+        STAMP_DELAY_STD * rows.signals.interval
         for rows in evidence.stack.rows
         if rows.equation in evidence.on_time and any(name[1:3] == (effect, repr(form)) for name in rows.columns)
     ]

@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 Column = tuple[str, ...]  # ("calibration", name), ("nuisance", run, name), ("effect", effect, form, coefficient)
 Candidate = tuple[str, Form]  # effect and form
 LEAST_POWER = 1e-280  # smallest power of a column, so that a column of zeros gives finite numbers
-LEAST_TOLD = 0.02  # share of all information on a coefficient below which a run does not count
+LEAST_INFORMATION_SHARE = 0.02  # share of all information on a coefficient below which a run does not count
 
 
 @dataclass
@@ -111,7 +111,7 @@ def rows_of(run: str, kind: str, equation: Equation, effects: dict[Column, Array
     )
 
 
-def bare(equation: Equation) -> Equation:
+def without_model_columns(equation: Equation) -> Equation:
     """Return an equation without its calibration and nuisance columns; effects can still be added to it."""
     return replace(equation, calibration={}, nuisance={}, shared={})
 
@@ -132,13 +132,13 @@ def effect_columns(equations: Sequence[Equation], candidates: Sequence[Candidate
             for form, terms in zip(forms, library()[effect].terms_of_all(signals, forms), strict=True):
                 for k in (k for k in with_rows if id(equations[k].signals) == clock):
                     equation, mask = equations[k], masks[k]
-                    for coefficient, column in effect_in(equation, terms).items():
+                    for coefficient, column in effect_contributions(equation, terms).items():
                         rows = smoothed_and_thinned(column[:, None], equation.width, equation.step)[mask, 0]
                         by_equation[k]["effect", effect, repr(form), coefficient] = rows
     return by_equation
 
 
-def effect_in(equation: Equation, terms: Terms) -> dict[str, Array]:
+def effect_contributions(equation: Equation, terms: Terms) -> dict[str, Array]:
     """Return the contribution of an effect to one equation at the full rate, by coefficient."""
     by_coefficient: dict[str, Array] = {}
     for place, coefficients in terms.items():
@@ -152,7 +152,7 @@ def effect_in(equation: Equation, terms: Terms) -> dict[str, Array]:
     return by_coefficient
 
 
-def more_columns(rows: Rows, fresh: dict[Column, Array]) -> None:
+def add_columns(rows: Rows, fresh: dict[Column, Array]) -> None:
     """Add columns of further forms of effects to existing rows, and update their Gram matrix."""
     if not fresh:
         return
@@ -293,7 +293,7 @@ def disagreement(normal: Normal, fit: Fit, index: int) -> float:
         # rounding may make zero negative
         informations.append(max(weight * float(local_direction @ gram[1:, 1:] @ local_direction), 0.0))
     information = np.asarray(informations)
-    informative = information > LEAST_TOLD * information.sum()
+    informative = information > LEAST_INFORMATION_SHARE * information.sum()
     freedom = int(informative.sum()) - 1
     if freedom < 1:
         return 1.0

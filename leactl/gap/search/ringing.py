@@ -17,17 +17,18 @@ from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.regression import Fit, Rows, residuals
 
 Array = npt.NDArray[np.float64]
-SEGMENT = 64  # rows
-FULL = 0.6  # smallest share of a segment's rows that are valid
-NEIGHBOURS = 5  # bins on either side, without the adjacent one
-LOWEST = 4  # bin; below it there is no neighbourhood on either side, and `unrest` sees what is slow
-STEADY = 0.05  # largest relative variation of a steady speed
-FEWEST = 8  # segments
-DEVIATIONS = 3.0  # standard deviations of a mean spectrum that chance is allowed
-FOLLOWED = 3  # samples on either side over which a command determines a current, or a motion its velocity
-LEAP, AROUND = 6.0, 7  # bend of a leap, over a moving command's usual bend, and samples around it that are left out
-STILL = 1e-6  # share of a command's largest bend up to which the command is constant
-COLOURLESS = 10.0  # largest usual unrest with which the spectrum is even enough to show a line
+SEGMENT = 64  # rows of one spectrum
+LEAST_VALID_SHARE = 0.6  # smallest share of a segment's rows that are valid
+NEIGHBOUR_BINS = 5  # bins on either side that a bin is compared with, without the adjacent one
+LOWEST_BIN = 4  # below it a bin lacks neighbours on one side; `unrest` judges slow residuals
+MOST_STEADY_VARIATION = 0.05  # largest relative variation of a steady speed
+FEWEST_SEGMENTS = 8  # segments of a channel; with fewer it has no line
+CHANCE_STDS = 3.0  # standard deviations of a mean spectrum that chance may add
+FOLLOWED_LAGS = 3  # samples on either side over which a command determines a current, or a motion its velocity
+LEAP_RATIO = 6.0  # bend of a leap over a moving command's usual bend
+LEAP_REACH = 7  # samples on either side of a leap that are left out
+MOST_STILL_BEND = 1e-6  # share of a command's largest bend up to which the command is constant
+MOST_EVEN_UNREST = 10.0  # largest usual unrest with which the spectrum is even enough to show a line
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Line:
     frequency: float  # Hz
 
 
-def ringing(evidence: Evidence, fit: Fit, searched: Sequence[bool]) -> dict[tuple[str, str, str], Line]:
+def highest_lines(evidence: Evidence, fit: Fit, searched: Sequence[bool]) -> dict[tuple[str, str, str], Line]:
     """Return the highest spectral line of the residuals of a fit in each channel.
 
     Keys are equation, quantity and mechanical set-up. Channels with too few rows are left out.
@@ -50,25 +51,25 @@ def ringing(evidence: Evidence, fit: Fit, searched: Sequence[bool]) -> dict[tupl
     for index, rows in enumerate(evidence.stack.rows):
         if not searched[index] or not evidence.is_judged(rows) or len(rows.index) < SEGMENT:
             continue
-        if evidence.expected(rows) > COLOURLESS:
+        if evidence.expected(rows) > MOST_EVEN_UNREST:
             continue
-        residual = unfollowed(rows, residuals(evidence.stack, fit, index)) / rows.white
+        residual = without_followed_part(rows, residuals(evidence.stack, fit, index)) / rows.white
         step = int(np.min(np.diff(rows.index)))
         grid_index = (rows.index - rows.index[0]) // step
         on_grid = np.full(grid_index[-1] + 1, np.nan)
-        on_grid[grid_index] = np.where(steady(rows, grid_index) | by_counts(rows), np.nan, residual)
+        on_grid[grid_index] = np.where(steady_rows(rows, grid_index) | rows_below_one_count(rows), np.nan, residual)
         key = (rows.equation, rows.quantity, rows.mechanical)
         rates[key] = 1.0 / (step * rows.signals.interval)
         spectra.setdefault(key, []).extend(periodograms(on_grid))
     lines = {}
     for key, spectrum in spectra.items():
-        if len(spectrum) >= FEWEST:
+        if len(spectrum) >= FEWEST_SEGMENTS:
             bin_index, height = highest_line(spectrum)
             lines[key] = Line(height / max(evidence.lines.get(key, 1.0), 1.0), bin_index * rates[key] / SEGMENT)
     return lines
 
 
-def steady(rows: Rows, grid_index: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+def steady_rows(rows: Rows, grid_index: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
     """Return the rows around which the speed is constant: encoder counts make lines there."""
     if rows.signals.velocity is None:
         return np.zeros(len(grid_index), bool)
@@ -79,10 +80,10 @@ def steady(rows: Rows, grid_index: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_
     sums, squares = (np.concatenate([[0.0], np.cumsum(part)]) for part in (speed, speed**2))
     mean = (sums[end] - sums[begin]) / count
     spread = np.sqrt(np.maximum((squares[end] - squares[begin]) / count - mean**2, 0.0))
-    return np.asarray(spread < STEADY * np.abs(mean), np.bool_)
+    return np.asarray(spread < MOST_STEADY_VARIATION * np.abs(mean), np.bool_)
 
 
-def unfollowed(rows: Rows, residual: Array) -> Array:
+def without_followed_part(rows: Rows, residual: Array) -> Array:
     """Return the residual of a current or a velocity without the part that follows what it is a filter of.
 
     A slightly wrong loop, filter or stamp leaves the lines of the motion itself, or of the command; NaN stands around
@@ -95,17 +96,21 @@ def unfollowed(rows: Rows, residual: Array) -> Array:
     if rows.equation == "current":
         bend = np.zeros(len(followed))
         bend[1:-1] = np.abs(np.diff(followed, 2))
-        moving = bend[bend > STILL * np.max(bend, initial=0.0)]
-        leaps = maximum_filter1d(bend > LEAP * np.median(moving), 2 * AROUND + 1) if len(moving) else bend > 0.0
+        moving = bend[bend > MOST_STILL_BEND * np.max(bend, initial=0.0)]
+        leaps = (
+            maximum_filter1d(bend > LEAP_RATIO * np.median(moving), 2 * LEAP_REACH + 1) if len(moving) else bend > 0.0
+        )
         kept = ~leaps[rows.index]
-    lags = [followed[np.clip(rows.index + lag, 0, len(followed) - 1)] for lag in range(-FOLLOWED, FOLLOWED + 1)]
+    lags = [
+        followed[np.clip(rows.index + lag, 0, len(followed) - 1)] for lag in range(-FOLLOWED_LAGS, FOLLOWED_LAGS + 1)
+    ]
     table = np.stack(lags, axis=1)
     usable = kept & np.isfinite(table).all(axis=1) & np.isfinite(residual)
     weights = np.linalg.lstsq(table[usable], residual[usable], rcond=None)[0]
     return np.where(usable, residual - table @ weights, np.nan)
 
 
-def by_counts(rows: Rows) -> npt.NDArray[np.bool_]:
+def rows_below_one_count(rows: Rows) -> npt.NDArray[np.bool_]:
     """Return the rows of a velocity equation in which the shaft moves by less than one encoder count a sample."""
     signals = rows.signals
     if signals.velocity is None or rows.quantity != "velocity":
@@ -119,7 +124,7 @@ def periodograms(values: Array) -> list[Array]:
     for start in range(0, len(values) - SEGMENT + 1, SEGMENT // 2):
         part = values[start : start + SEGMENT]
         finite = np.isfinite(part)
-        if finite.mean() >= FULL:
+        if finite.mean() >= LEAST_VALID_SHARE:
             power = np.abs(np.fft.rfft(np.where(finite, part, 0.0) * window)) ** 2
             powers.append(power / np.sum((window * finite) ** 2))
     return powers
@@ -134,7 +139,7 @@ def highest_line(spectra: Sequence[Array]) -> tuple[int, float]:
     if not relative_powers:
         return 0, 0.0
     bin_index, ratio = highest_bin(np.mean(relative_powers, axis=0))
-    return bin_index, ratio * (1.0 - DEVIATIONS / math.sqrt(len(relative_powers)))
+    return bin_index, ratio * (1.0 - CHANCE_STDS / math.sqrt(len(relative_powers)))
 
 
 def highest_bin(power: Array) -> tuple[int, float]:
@@ -143,10 +148,10 @@ def highest_bin(power: Array) -> tuple[int, float]:
     The larger of the medians on either side counts, so that a slope makes no line.
     """
     ratios = np.zeros(len(power))
-    for bin_index in range(LOWEST, len(power) - 2):
+    for bin_index in range(LOWEST_BIN, len(power) - 2):
         below, above = (
-            power[max(1, bin_index - NEIGHBOURS) : bin_index - 1],
-            power[bin_index + 2 : bin_index + NEIGHBOURS + 1],
+            power[max(1, bin_index - NEIGHBOUR_BINS) : bin_index - 1],
+            power[bin_index + 2 : bin_index + NEIGHBOUR_BINS + 1],
         )
         around = max(float(np.median(below)), float(np.median(above)))
         ratios[bin_index] = power[bin_index] / around if around > 0.0 else 0.0  # the noise around it is not known

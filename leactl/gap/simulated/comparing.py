@@ -14,7 +14,7 @@ from leactl.gap.diagnosis import (
     SizeInBoth,
 )
 from leactl.gap.search.effect_regression import PRIORS, Evidence
-from leactl.gap.search.effect_sets import ENTRY, FORM_ERROR
+from leactl.gap.search.effect_sets import ENTRY_HEIGHT, FORM_ERROR
 from leactl.gap.search.parameters import effect_parameters, nominal_value
 from leactl.gap.search.regression import Candidate
 from leactl.gap.setup import SetUpFault
@@ -93,7 +93,7 @@ def side_by_side_in_free_runs(nominal: NominalOfSimulator, alone: DiagnosisResul
         differs = not real_parameters
         if simulated_parameters and real_parameters:
             tolerance = max(
-                ENTRY * math.hypot(simulated_parameters[0].std, real_parameters[0].std),
+                ENTRY_HEIGHT * math.hypot(simulated_parameters[0].std, real_parameters[0].std),
                 math.sqrt(FORM_ERROR) * abs(simulated_parameters[0].value),
             )
             differs = abs(real_parameters[0].value - simulated_parameters[0].value) > tolerance
@@ -112,7 +112,7 @@ def in_simulator(nominal: NominalOfSimulator, candidates: Sequence[Candidate]) -
 
 def outgrows(real: KnownEffect, simulated: KnownEffect) -> bool:
     """Return whether an effect is larger in real runs than in simulated ones by the factor it needs over a floor."""
-    return not simulated.shows or real.size > ENTRY * simulated.size
+    return not simulated.shows or real.size > ENTRY_HEIGHT * simulated.size
 
 
 def without_shared_causes(answer: DiagnosisResult, both: SideBySide, parameters_differ: bool) -> DiagnosisResult:
@@ -141,7 +141,7 @@ def _parameter(
     start = nominal_value(nominal.start, simulated.parameter)
     differs = False
     if real is not None and not (real.not_told_by_these_runs or simulated.not_told_by_these_runs):
-        tolerance = max(ENTRY * math.hypot(real.std, simulated.std), LEAST_DIFFERENCE * abs(simulated.fitted))
+        tolerance = max(ENTRY_HEIGHT * math.hypot(real.std, simulated.std), LEAST_DIFFERENCE * abs(simulated.fitted))
         differs = abs(real.fitted - simulated.fitted) > tolerance
     return EffectiveParameter(
         simulated.parameter,

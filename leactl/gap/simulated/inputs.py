@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.search.stamp_fit import LATEST
+from leactl.gap.search.stamp_fit import MOST_STAMP_DELAY
 from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.runfile.read.reader import Channel, Run
 
@@ -104,7 +104,7 @@ def _difference(key: tuple[str, str], command: RunCommand, simulated: RunCommand
     tolerance = tolerance_of(command.values, simulated.values)
     if key[0] in MEASURED:
         tolerance = max(tolerance, MEASURED_TOLERANCE * float(np.ptp(command.values)))
-    reach = LATEST * max(command.interval, simulated.interval)
+    reach = MOST_STAMP_DELAY * max(command.interval, simulated.interval)
     inside = command.time <= duration
     beyond = outside(command.time[inside], command.values[inside], simulated, reach) > tolerance
     if not beyond.any():

@@ -9,9 +9,9 @@ from leactl.gap.diagnose import Case, Channel, Progress, diagnose_mended, withou
 from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, SimulatorFloor
 from leactl.gap.search.effect_regression import PRIORS, Evidence
 from leactl.gap.search.parameters import (
-    at_bound,
-    calibrated,
+    calibrated_parameters,
     effect_parameters,
+    is_at_bound,
     nominal_value,
     with_calibration,
     with_effects,
@@ -95,7 +95,7 @@ def nominal_of(
     sizes = {effect.name: effect_parameters(evidence, fit, effect.candidate) for effect in effects}
     causes = tuple(replace(c, parameters=sizes.get(c.effect, c.parameters)) for c in causes)
     entries = [(cause.effect, {item.name: item.value for item in cause.parameters}) for cause in causes]
-    nominal_parameters = (replace(item, fitted=item.nominal) for item in calibrated(evidence, fit))
+    nominal_parameters = (replace(item, fitted=item.nominal) for item in calibrated_parameters(evidence, fit))
     return NominalOfSimulator(
         model,
         base,
@@ -124,7 +124,9 @@ def near_start(records: Sequence[Record], model: Model) -> Model:
         evidence = Evidence(records, model, only=[])
         if not evidence.stack.rows:
             return begin
-        fitted = [item for item in calibrated(evidence, evidence.settle([])) if not item.not_told_by_these_runs]
+        fitted = [
+            item for item in calibrated_parameters(evidence, evidence.settle([])) if not item.not_told_by_these_runs
+        ]
         if not any(is_far(item) for item in fitted):
             return model
         model = with_calibration(model, fitted)
@@ -132,7 +134,7 @@ def near_start(records: Sequence[Record], model: Model) -> Model:
         CalibratedParameter(i.parameter, nominal_value(begin, i.parameter) or 0.0, i.fitted, i.std, i.units)
         for i in fitted
     )
-    if bounded := [item for item in ends if at_bound(item)]:
+    if bounded := [item for item in ends if is_at_bound(item)]:
         values = ", ".join(f"{item.parameter} fits at {item.fitted:.4g} {item.units}" for item in bounded)
         raise InputError(f"simulated runs: of another machine than the model {begin.name}: {values}")
     return model

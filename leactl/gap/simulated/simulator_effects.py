@@ -14,8 +14,8 @@ import numpy.typing as npt
 from leactl.effects import library
 from leactl.gap.equations import Equation
 from leactl.gap.search.effect_regression import Evidence
-from leactl.gap.search.effect_sets import ENTRY, FORM_ERROR
-from leactl.gap.search.regression import Candidate, Fit, disagreement, effect_in
+from leactl.gap.search.effect_sets import ENTRY_HEIGHT, FORM_ERROR
+from leactl.gap.search.regression import Candidate, Fit, disagreement, effect_contributions
 from leactl.gap.signals.record import Record
 
 Array = npt.NDArray[np.float64]
@@ -41,7 +41,7 @@ class KnownEffect:
         if float(np.linalg.norm(difference)) <= math.sqrt(FORM_ERROR) * self.size:
             return False
         squares = float(difference @ np.linalg.pinv(self.covariance + other.covariance) @ difference)
-        return squares > ENTRY**2
+        return squares > ENTRY_HEIGHT**2
 
     @property
     def size(self) -> float:
@@ -51,7 +51,7 @@ class KnownEffect:
     @property
     def shows(self) -> bool:
         """Whether the runs show the effect at all, beyond the error of its size."""
-        return float(self.values @ np.linalg.pinv(self.covariance) @ self.values) > ENTRY**2
+        return float(self.values @ np.linalg.pinv(self.covariance) @ self.values) > ENTRY_HEIGHT**2
 
 
 def known_effects(evidence: Evidence, fit: Fit, candidates: Sequence[Candidate]) -> tuple[KnownEffect, ...]:
@@ -87,7 +87,7 @@ class Subtraction:
         left_over, shared = equation.left_over, dict(equation.shared)
         for effect in self.effects:
             name, form = effect.candidate
-            columns = effect_in(equation, library()[name].terms(equation.signals, form))
+            columns = effect_contributions(equation, library()[name].terms(equation.signals, form))
             stds = np.sqrt(np.diag(effect.covariance) + FORM_ERROR * effect.values**2)
             for coefficient, value, std in zip(effect.coefficients, effect.values, stds, strict=True):
                 if coefficient in columns:

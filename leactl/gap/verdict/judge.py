@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.effects import library
-from leactl.gap.search.confirm import transferred
+from leactl.gap.search.confirm import transferred_fit
 from leactl.gap.search.effect_regression import Evidence
-from leactl.gap.search.effect_sets import LOOSE, TIE, EffectSet, FurtherEffect, apart
+from leactl.gap.search.effect_sets import LOOSE_SHARE, TIE_SHARE, EffectSet, FurtherEffect, gain_tolerance
 from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
 from leactl.gap.search.ringing import Line
 from leactl.gap.signals.record import Record
@@ -83,10 +83,12 @@ def spread(member: FurtherEffect, rival: FurtherEffect, missed: Mapping[Candidat
 
     A form misses a usual share of what it explains, but no more than free forms of both effects explain in addition.
     """
-    exact = all(library()[item.effect].shaped and library()[item.effect].explains > LOOSE for item in (member, rival))
-    usual_difference = 1.0 + EXACT_FORM_ERROR * member.gain if exact else apart(member.gain)
+    exact = all(
+        library()[item.effect].shaped and library()[item.effect].explains > LOOSE_SHARE for item in (member, rival)
+    )
+    usual_difference = 1.0 + EXACT_FORM_ERROR * member.gain if exact else gain_tolerance(member.gain)
     missed_squares = sum(missed.get(item.candidate, 0.0) for item in (member, rival))
-    return min(usual_difference, 1.0 + TIE * member.gain + missed_squares)
+    return min(usual_difference, 1.0 + TIE_SHARE * member.gain + missed_squares)
 
 
 def coverage(beyond: float) -> float:
@@ -203,7 +205,7 @@ def unlike_fitted(evidence: Evidence, hypothesis: Sequence[Candidate], held_out:
     fit = evidence.settle(hypothesis)
     fitted = squares_left(evidence.stack, fit)
     for key, runs in squares_left(
-        held_out_evidence.stack, transferred(held_out_evidence.normal(), evidence, fit)
+        held_out_evidence.stack, transferred_fit(held_out_evidence.normal(), evidence, fit)
     ).items():
         worst_fitted = max((residual for residual, _ in fitted.get(key, {}).values()), default=0.0)
         ratios = {

@@ -29,7 +29,7 @@ from leactl.gap.binned_means import (
 )
 from leactl.gap.diagnosis import Cause, Picture, ResidualBin
 from leactl.gap.replay.comparison import Compared
-from leactl.gap.search.confirm import transferred
+from leactl.gap.search.confirm import transferred_fit
 from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.regression import Candidate, Fit, Rows, residuals
 from leactl.gap.signals.effect_variables import VARIABLE_FUNCTIONS
@@ -123,7 +123,7 @@ def pictured(
             without_cause = [candidate for candidate in candidates if candidate[0] != cause.effect]
             [form] = [candidate for candidate in candidates if candidate[0] == cause.effect]
             before, after = (
-                transferred(normal, evidence, evidence.settle(chosen)) for chosen in (without_cause, candidates)
+                transferred_fit(normal, evidence, evidence.settle(chosen)) for chosen in (without_cause, candidates)
             )
             parts = parts_of(held_out_evidence, form, before, after)
             if (drawing := picture(cause, parts)) is not None:

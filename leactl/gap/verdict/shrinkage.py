@@ -14,7 +14,7 @@ from leactl.gap.replay.bearing import give_of
 from leactl.gap.replay.bench_of_model import plant_of
 from leactl.gap.replay.comparison import Compared, compare
 from leactl.gap.replay.job import Job
-from leactl.gap.search.confirm import CHANCE, RESAMPLED
+from leactl.gap.search.confirm import RESAMPLES, TAIL_PROBABILITY
 from leactl.gap.signals.record import Record
 from leactl.model.nominal import Model
 from leactl.quantities import UNITS
@@ -173,12 +173,12 @@ def squares_ratio(channels: Sequence[Compared], random: np.random.Generator) -> 
     fewer than `FEWEST_BLOCKS` blocks.
     """
     unknown = SquaresRatio(math.nan, math.nan, math.nan, math.nan)
-    observed, resampled, differing = np.zeros(2), np.zeros((RESAMPLED, 2)), list[Array]()
+    observed, resampled, differing = np.zeros(2), np.zeros((RESAMPLES, 2)), list[Array]()
     for counts, sums in map(_blocks, grouped(channels)):
         floor = sums[:, 3].sum() / counts.sum()
         if floor <= 0.0:
             continue
-        picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
+        picked = random.integers(0, len(counts), (RESAMPLES, len(counts)))
         means = sums[picked].sum(axis=1) / counts[picked].sum(axis=1)[:, None]
         squares = np.maximum(sums.sum(axis=0) / counts.sum() / floor, NEAR_FLOOR**2)[1:3]
         if squares.max() > SAME * squares.min():
@@ -189,7 +189,7 @@ def squares_ratio(channels: Sequence[Compared], random: np.random.Generator) -> 
         resampled += np.maximum(means / floor, NEAR_FLOOR**2)[:, 1:3]
     if not observed.all():
         return unknown
-    low, high = np.quantile(resampled[:, 1] / resampled[:, 0], (CHANCE, 1.0 - CHANCE))
+    low, high = np.quantile(resampled[:, 1] / resampled[:, 0], (TAIL_PROBABILITY, 1.0 - TAIL_PROBABILITY))
     nearer = int(np.argmin(observed))
     worst_miss = math.sqrt(max((squares[nearer] for squares in differing), default=0.0))
     return SquaresRatio(float(observed[1] / observed[0]), float(low), float(high), worst_miss)
@@ -197,16 +197,16 @@ def squares_ratio(channels: Sequence[Compared], random: np.random.Generator) -> 
 
 def _growth(groups: Sequence[list[Compared]], random: np.random.Generator) -> Growth:
     """Return the growth of the gap from resampled blocks of every channel."""
-    log_gaps, resampled = np.zeros(3), np.zeros((RESAMPLED, 3))
+    log_gaps, resampled = np.zeros(3), np.zeros((RESAMPLES, 3))
     channels = [_blocks(group) for group in groups]
     for counts, sums in channels:
-        picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
+        picked = random.integers(0, len(counts), (RESAMPLES, len(counts)))
         log_gaps += np.maximum(_log_gaps(sums.sum(axis=0)), NEAR)
         resampled += np.maximum(_log_gaps(sums[picked].sum(axis=1)), NEAR)
     nearer = 1 if log_gaps[1] < log_gaps[0] else 0
     pairs = ((0, 1), (nearer, 2))
     by_calibration, by_effects = (
-        (float(log_gaps[b] - log_gaps[a]), float(np.quantile(resampled[:, b] - resampled[:, a], CHANCE)))
+        (float(log_gaps[b] - log_gaps[a]), float(np.quantile(resampled[:, b] - resampled[:, a], TAIL_PROBABILITY)))
         for a, b in pairs
     )
     return Growth(by_calibration, by_effects, *closes(channels, random))
@@ -228,14 +228,14 @@ def closes(
         observed, gaps = _log_gaps(sums.sum(axis=0)), _log_gaps(sums)
         nearer = int(np.argmin(observed[:2]))
         if observed[nearer] > max(observed[2], NEAR):
-            picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
+            picked = random.integers(0, len(counts), (RESAMPLES, len(counts)))
             resampled = _log_gaps(sums[picked].sum(axis=1))
             by_block = (counts * (gaps[:, nearer] - gaps[:, 2]))[picked].sum(axis=1)
             shrinking.append((resampled[:, nearer] - resampled[:, 2], by_block))
     if not with_blocks:
         return None, None
     # Bonferroni: one of many channels shrinks by chance
-    chance = CHANCE / max(2 * len(shrinking), 1)
+    chance = TAIL_PROBABILITY / max(2 * len(shrinking), 1)
     passed = [[float(np.quantile(falls, chance)) > 0.0 for falls in pair] for pair in shrinking]
     return any(map(any, passed)), any(map(all, passed))
 
@@ -254,7 +254,7 @@ def _shrunk(group: list[Compared], random: np.random.Generator) -> Shrinkage:
     closed = low = high = None
     if calibrated > NEAR_FLOOR * floor:
         closed = (calibrated - augmented) / (calibrated - floor)
-        picked = random.integers(0, len(counts), (RESAMPLED, len(counts)))
+        picked = random.integers(0, len(counts), (RESAMPLES, len(counts)))
         resampled = np.sqrt(sums[picked].sum(axis=1) / counts[picked].sum(axis=1)[:, None])
         low, high = closed_between(resampled)
     units = UNITS[channel.quantity]
@@ -279,11 +279,11 @@ def closed_between(resampled: Array) -> tuple[float, float] | tuple[None, None]:
     resampled : (samples, 4), gaps of the three models and the floor.
     """
     open_gap = resampled[:, 1] > resampled[:, 3]
-    if np.mean(~open_gap) > CHANCE:
+    if np.mean(~open_gap) > TAIL_PROBABILITY:
         return None, None
     gaps = resampled[open_gap]
     shares = (gaps[:, 1] - gaps[:, 2]) / (gaps[:, 1] - gaps[:, 3])
-    low, high = np.quantile(shares, (CHANCE, 1.0 - CHANCE))
+    low, high = np.quantile(shares, (TAIL_PROBABILITY, 1.0 - TAIL_PROBABILITY))
     return float(low), float(high)
 
 

@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from leactl.effects import library
 from leactl.gap.diagnosis import Near, Picture, Rest
-from leactl.gap.search.angle_periodogram import periodogram, turns
-from leactl.gap.search.confirm import transferred
+from leactl.gap.search.angle_periodogram import can_show_waves, periodogram
+from leactl.gap.search.confirm import transferred_fit
 from leactl.gap.search.effect_regression import Evidence
-from leactl.gap.search.effect_sets import ENTRY, EffectSet, FurtherEffect
+from leactl.gap.search.effect_sets import ENTRY_HEIGHT, EffectSet, FurtherEffect
 from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
 from leactl.gap.signals.effect_variables import state_in
 from leactl.gap.signals.record import Record
@@ -61,7 +61,9 @@ def describe(
         return None
     held_out_evidence.settle(hypothesis)
     fitted = sample_of(evidence.stack, fit, fitted_rows)
-    judged = sample_of(held_out_evidence.stack, transferred(held_out_evidence.normal(), evidence, fit), held_out_rows)
+    judged = sample_of(
+        held_out_evidence.stack, transferred_fit(held_out_evidence.normal(), evidence, fit), held_out_rows
+    )
     common = fitted.state.keys() & judged.state.keys()
     fitted, judged = (
         Sample(item.left, {name: item.state[name] for name in common}, item.stretch) for item in (fitted, judged)
@@ -141,7 +143,7 @@ def orders_of(stacked: Stack, fit: Fit, indices: Sequence[int]) -> list[float]:
     power = np.zeros(HIGHEST + 1)
     for index in indices:
         rows = stacked.rows[index]
-        if turns(rows, "drag") and rows.signals.velocity is not None:
+        if can_show_waves(rows, "drag") and rows.signals.velocity is not None:
             power += periodogram(rows, residuals(stacked, fit, index), "drag", HIGHEST)
     strongest = [float(order) for order in np.argsort(-power)[:STRONG_ORDERS] if power[order] > 0.0]
     return sorted({float(order) for order in range(1, LOW_ORDERS + 1)} | set(strongest))
@@ -242,6 +244,6 @@ def doubt(item: Judged) -> str:
 
 def kept_out(item: FurtherEffect) -> str:
     """Return why an effect did not enter the set."""
-    if item.height <= ENTRY:
-        return f"its size is {item.height:.3g} times its uncertainty and floor; {ENTRY:g} are needed"
+    if item.height <= ENTRY_HEIGHT:
+        return f"its size is {item.height:.3g} times its uncertainty and floor; {ENTRY_HEIGHT:g} are needed"
     return "what it takes away is no more than the set's own forms may miss"

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from leactl.effects import library
 from leactl.gap.diagnosis import REPLAY_MISS, CalibratedParameter, Cause, Near
-from leactl.gap.search.parameters import at_bound, with_calibration, with_effects
+from leactl.gap.search.parameters import is_at_bound, with_calibration, with_effects
 from leactl.gap.verdict.shrinkage import NEAR_FLOOR, Shrunk
 from leactl.model.nominal import Model
 
@@ -273,4 +273,4 @@ def refusal_of_limit(shrunk: Shrunk) -> str:
 
 def at_bounds(parameters: Sequence[CalibratedParameter]) -> list[str]:
     """Return the names of the parameters whose fit went as far as it may."""
-    return [item.parameter for item in parameters if at_bound(item)]
+    return [item.parameter for item in parameters if is_at_bound(item)]
