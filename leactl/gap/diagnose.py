@@ -35,26 +35,26 @@ from leactl.gap.signals.record import Record
 from leactl.gap.signals.rig import DRIVE_CHANNELS, VOLTAGE_KIND, Array
 from leactl.gap.signals.setpoints import mark_setpoints, setpoint_notes
 from leactl.gap.signals.stamps import stamp_notes, stamped
-from leactl.gap.verdict.decision import LISTED, NAMED, UNKNOWN, verdict_of
+from leactl.gap.verdict.decision import LISTED_PROBABILITY, NAMED_PROBABILITY, UNKNOWN_PROBABILITY, verdict_of
 from leactl.gap.verdict.judge import (
     Judged,
     RunRatios,
     Unexplained,
+    is_left_by_form,
     judge,
-    left_by_form,
-    unexplained,
     unexplained_in_a_run,
-    unlike_fitted,
+    unexplained_in_channels,
+    unexplained_in_held_out,
     unrest,
     unrest_of_runs,
 )
-from leactl.gap.verdict.notes import beyond_null, gathered, questions, unlike
-from leactl.gap.verdict.picture import pictured, pictured_by_replays
+from leactl.gap.verdict.notes import condition_notes, null_notes, questions, reading_notes
+from leactl.gap.verdict.picture import draw_pictures, draw_pictures_of_replays
 from leactl.gap.verdict.separation import RuledOut, nearest_of_classes, without_ruled_out
-from leactl.gap.verdict.shrinkage import SquaresRatio, shrinkage, simulated_again, squares_ratio
+from leactl.gap.verdict.shrinkage import SquaresRatio, shrinkage, simulate_again, squares_ratio
 from leactl.gap.verdict.unknown import describe, nearest_effects
 from leactl.gap.verdict.where import profiles, where
-from leactl.gap.verdict.withdrawal import Applied, FittedEffects, Refit, apply, at_bounds
+from leactl.gap.verdict.withdrawal import Applied, FittedEffects, Refit, apply, names_at_bound
 from leactl.model.nominal import BenchModel, Model, read_model
 from leactl.vocabulary.effect import effect_definition
 
@@ -174,7 +174,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
     faults, mended_case = without_faults(case)
     answer = diagnose_mended(mended_case, faults, progress)
     uncertain_faults = [fault for fault in faults if fault.shrinks]
-    if not uncertain_faults or answer.unexplained_probability < UNKNOWN:
+    if not uncertain_faults or answer.unexplained_probability < UNKNOWN_PROBABILITY:
         return answer
     certain_faults, records = [fault for fault in faults if not fault.shrinks], [*case.fitted, *case.held_out]
     for fault in certain_faults:
@@ -183,8 +183,10 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
         partly_mended_answer = diagnose_mended(case.of_records(records), certain_faults, progress)
     except InputError:
         return answer
-    named = any(cause.family != "setup" and cause.probability >= NAMED for cause in partly_mended_answer.causes)
-    if not named or partly_mended_answer.unexplained_probability >= UNKNOWN:
+    named = any(
+        cause.family != "setup" and cause.probability >= NAMED_PROBABILITY for cause in partly_mended_answer.causes
+    )
+    if not named or partly_mended_answer.unexplained_probability >= UNKNOWN_PROBABILITY:
         return answer
     not_named = tuple(
         f"not named: {fault.name}; an effect explains the runs without mending it" for fault in uncertain_faults
@@ -253,7 +255,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     in_sound_noise = among_sound_noise(evidence, searched)
     unrest_by_run, lines = left_over(evidence, in_sound_noise)
     unrest_by_channel = unrest(unrest_by_run)
-    surprise = unexplained(unrest_by_channel, lines)
+    surprise = unexplained_in_channels(unrest_by_channel, lines)
     causes = causes_of(evidence, searched, judged)
     calibrated_alone = calibrated_parameters(evidence, evidence.settle([]))
     members = {item.finding.effect for item in judged}
@@ -278,7 +280,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
             replace(cause, probability=cause.probability * trust) if cause.effect in doubts else cause
             for cause in causes
         )
-    named = [cause for cause in causes if cause.probability >= NAMED and cause.effect in members]
+    named = [cause for cause in causes if cause.probability >= NAMED_PROBABILITY and cause.effect in members]
     progress("simulating again")
     stamps = evidence.stamping(searched.fit)
     replayed = [stamped(record, stamps) for record in case.replayed()]
@@ -298,9 +300,9 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     shrunk = applied.shrunk
     causes = borne_out(causes, applied)
     if servo_runs:
-        surprise = unexplained(servo_answer.unfollowed(shrunk.shrinkage, replayed), {})
+        surprise = unexplained_in_channels(servo_answer.unfollowed(shrunk.shrinkage, replayed), {})
     located = where(replayed, shrunk.channels, applied.fitted.causes)
-    notes = unlike(case.fitted, case.held_out) + gathered([*case.fitted, *case.held_out])
+    notes = condition_notes(case.fitted, case.held_out) + reading_notes([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
         notes += ("no kind of run occurs twice: held out are two sixteenths of each run",)
     calibrates = not applied.first_calibration_withdrawn and gained(evidence, searched)
@@ -310,15 +312,20 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     if len(applied_forms) < len(searched.hypothesis) and not servo_runs:
         rest_of_set = among_sound_noise(evidence, effect_sets.describe(evidence, list(applied_forms)))
         unrest_by_run, lines = left_over(evidence, rest_of_set)
-        surprise = max(surprise, unexplained(unrest(unrest_by_run), lines), key=lambda sign: sign.probability)
-    if not (applied_forms or servo_runs or at_bounds(calibrated_alone)) and surprise.probability < UNKNOWN:
-        off = unexplained_in_a_run(unrest_by_run), unlike_fitted(evidence, applied_forms, case.held_out)
+        surprise = max(
+            surprise, unexplained_in_channels(unrest(unrest_by_run), lines), key=lambda sign: sign.probability
+        )
+    if (
+        not (applied_forms or servo_runs or names_at_bound(calibrated_alone))
+        and surprise.probability < UNKNOWN_PROBABILITY
+    ):
+        off = unexplained_in_a_run(unrest_by_run), unexplained_in_held_out(evidence, applied_forms, case.held_out)
         surprise = max(surprise, *off, key=lambda sign: sign.probability)
     alternatives = [rival.candidate for item in judged for rival, _ in item.rivals]
-    causes = pictured(causes, evidence, applied_forms, alternatives, case.held_out)
-    causes = pictured_by_replays(causes, applied.fitted.causes, replayed, shrunk.channels)
+    causes = draw_pictures(causes, evidence, applied_forms, alternatives, case.held_out)
+    causes = draw_pictures_of_replays(causes, applied.fitted.causes, replayed, shrunk.channels)
     unexplained_notes, unexplained_part = tuple[str, ...](), None
-    if surprise.probability >= UNKNOWN:
+    if surprise.probability >= UNKNOWN_PROBABILITY:
         progress("describing what is left")
         refused_effects = nearest_effects(searched, judged, applied.refused)
         unexplained_notes = (surprise.note,)
@@ -338,7 +345,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
                 + notes
                 + stamp_notes(stamps, evidence.on_time, MOST_STAMP_DELAY)
                 + setpoint_notes(case.fitted)
-                + beyond_null(evidence, null)
+                + null_notes(evidence, null)
                 + shrunk.notes
                 + questions(case.model, case.fitted, evidence, servo_runs)
             )
@@ -377,7 +384,7 @@ def separated(
         first_model, second_model = model_of(tuple(first_set)), model_of(tuple(second_set))
         random = np.random.default_rng(0)
         # `squares_ratio` compares the second and the third model
-        _, channels = simulated_again(replayed, (first_model, first_model, second_model), random, case.unexplained)
+        _, channels = simulate_again(replayed, (first_model, first_model, second_model), random, case.unexplained)
         return squares_ratio(channels, random)
 
     hypothesis, ruled_out = nearest_of_classes(searched.hypothesis, judged, compare)
@@ -405,7 +412,7 @@ def among_sound_noise(evidence: Evidence, result: EffectSet) -> EffectSet:
 
 def left_over(evidence: Evidence, result: EffectSet) -> tuple[RunRatios, dict[Channel, Line]]:
     """Return the unrest of each channel by run under a set, and the lines in the spectra of its residuals."""
-    searched_rows = [not left_by_form(result, index) for index in range(len(evidence.stack.rows))]
+    searched_rows = [not is_left_by_form(result, index) for index in range(len(evidence.stack.rows))]
     lines = highest_lines(evidence, evidence.settle(result.hypothesis), searched_rows)
     return unrest_of_runs(evidence, result), lines
 
@@ -424,7 +431,7 @@ def doubted_by_residual(
     effects = [cause.effect for cause in causes]
     if outweighed(evidence, result, *signs):
         return dict.fromkeys(effects, "too much is left beside what it explains")
-    if surprise.probability < UNKNOWN or surprise.channel is None or surprise.channel[0] != "current":
+    if surprise.probability < UNKNOWN_PROBABILITY or surprise.channel is None or surprise.channel[0] != "current":
         return {}
     # a limit alone says what the current is: a residual of the current shows another law
     reason = "a limit of the drive would leave nothing of the current unexplained"
@@ -459,7 +466,8 @@ def outweighed(
     total = sum(member.gain for member in result.members) or 1.0
     allowed_share = sum(may_leave(member.effect) * member.gain for member in result.members) / total
     return (
-        unexplained(judged_unrest, judged_lines).probability >= UNKNOWN and squares_left > allowed_share * squares_taken
+        unexplained_in_channels(judged_unrest, judged_lines).probability >= UNKNOWN_PROBABILITY
+        and squares_left > allowed_share * squares_taken
     )
 
 
@@ -523,7 +531,7 @@ def borne_out(causes: Sequence[Cause], applied: Applied) -> tuple[Cause, ...]:
         applied_causes.get(cause.effect, cause)
         for cause in causes
         if cause.effect in applied_causes
-        or cause.probability < NAMED
+        or cause.probability < NAMED_PROBABILITY
         or applied_causes.keys() & set(cause.indistinguishable_from)
     )
 
@@ -547,7 +555,7 @@ def causes_of(evidence: Evidence, result: EffectSet, judged: Sequence[Judged]) -
         )
     for item in judged:
         for rival, probability in item.rivals:
-            if probability < LISTED or rival.effect in causes:
+            if probability < LISTED_PROBABILITY or rival.effect in causes:
                 continue
             other_members = [c for c in result.hypothesis if c != item.finding.candidate]
             parameters = alone(evidence, other_members, rival.candidate)
@@ -562,7 +570,7 @@ def causes_of(evidence: Evidence, result: EffectSet, judged: Sequence[Judged]) -
     members = {item.finding.effect for item in judged}
     readings = {item.finding.effect for item in judged if of_a_reading(evidence, item.finding.candidate)}
     # causes equally probable to a hundredth rank by their share of the gap
-    listed = [cause for cause in causes.values() if cause.probability >= LISTED]
+    listed = [cause for cause in causes.values() if cause.probability >= LISTED_PROBABILITY]
     ranks = {
         c.effect: (-round(c.probability, 2), c.effect in readings, c.effect not in members, -c.share) for c in listed
     }

@@ -14,7 +14,7 @@ from leactl.gap.diagnose import Case, diagnose, read_case, split
 from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.ringing import highest_lines
 from leactl.gap.signals.record import build_record
-from leactl.gap.verdict.notes import gathered
+from leactl.gap.verdict.notes import reading_notes
 from leactl.runfile.read.reader import Channel
 from leactl.vocabulary.effect import effect_definition
 from tests.gap.emulated_cases import EVERY, OFTEN, SEED, emulated_cases
@@ -225,7 +225,7 @@ def test_what_is_noted_of_several_runs_alike_is_said_once_and_what_may_rest_is_n
         channel("q_axis_voltage", absent),
     ]
     records = [build_record(Path(f"{name}.h5"), "spin", "free", channels, {}) for name in ("a", "b", "c", "a")]
-    assert gathered(records) == (
+    assert reading_notes(records) == (
         "a.h5 and 2 more: bus_voltage of test never changes; is the channel alive?",
         "a.h5 and 2 more: q_axis_voltage of test has 0 samples; left out",
     )

@@ -11,7 +11,7 @@ import yaml
 from leactl.effects import library
 from leactl.gap.replay import replay
 from leactl.gap.signals.record import read_record
-from leactl.gap.verdict.notes import unlike
+from leactl.gap.verdict.notes import condition_notes
 from leactl.model.nominal import as_mapping, read_model
 from leactl.quantities import ChannelSpec
 from leactl.runfile.read.reader import Run
@@ -261,6 +261,6 @@ def test_a_held_out_run_of_another_condition_is_noted(run, model_file, tmp_path)
     for condition, notes in (("design", 0), ("unloaded", 1)):
         learnt = read_record(run)
         judged = replace(read_record(other), condition=condition)
-        noted = unlike([learnt], [judged])
+        noted = condition_notes([learnt], [judged])
         assert len(noted) == notes
     assert noted == ("staircase: condition of fitted runs: design; of held-out runs: unloaded",)

@@ -12,18 +12,18 @@ from leactl.gap.search.effect_sets import TIE_SHARE, FurtherEffect
 from leactl.gap.search.ringing import Line
 from leactl.gap.signals.record import Record
 from leactl.gap.verdict.judge import (
-    HALF,
-    LINE,
-    RUN_UNREST,
-    UNREST,
+    EVEN_HEIGHT,
+    EVEN_LINE_HEIGHT,
+    EVEN_RUN_UNREST,
+    EVEN_UNREST,
     Judged,
     judge,
-    unexplained,
     unexplained_in_a_run,
+    unexplained_in_channels,
 )
-from leactl.gap.verdict.notes import gathered, unlike
+from leactl.gap.verdict.notes import condition_notes, reading_notes
 from leactl.gap.verdict.state_regression import Sample, learn, slow_gain
-from leactl.gap.verdict.unknown import beyond_noise, is_slow, kept_out, nearest_effects, shape
+from leactl.gap.verdict.unknown import is_slow, nearest_effects, reason_kept_out, shape_picture, squares_beyond_noise
 
 CHANNEL = ("torque balance", "velocity", "free")
 OTHER = ("voltage", "q_axis_voltage", "free")
@@ -46,7 +46,7 @@ def test_a_rival_counts_by_its_gain_and_by_how_high_it_stands_itself():
     [alike] = judge(None, of_one(member, finding("torque_ripple", 20.0)), {})
     assert alike.peers == ("torque_ripple",)
     assert [round(probability, 2) for _, probability in alike.rivals] == [0.5]
-    [low] = judge(None, of_one(member, finding("torque_ripple", HALF - 2.0)), {})
+    [low] = judge(None, of_one(member, finding("torque_ripple", EVEN_HEIGHT - 2.0)), {})
     assert low.peers == ()
     assert low.rivals[0][1] < 0.01
     [short] = judge(None, of_one(member, finding("torque_ripple", 20.0, gain=0.9e5)), {})
@@ -77,32 +77,37 @@ def test_an_effect_that_makes_held_out_runs_worse_is_doubted():
 
 @pytest.mark.parametrize("height", [0.5, 0.9, 1.0, 1.2, 3.0])
 def test_a_line_and_an_unrest_are_as_likely_as_not_at_their_thresholds_and_the_higher_one_is_told(height):
-    line = unexplained({}, {CHANNEL: Line(LINE * height, 17.25)})
-    rest = unexplained({CHANNEL: UNREST * height}, {})
+    line = unexplained_in_channels({}, {CHANNEL: Line(EVEN_LINE_HEIGHT * height, 17.25)})
+    rest = unexplained_in_channels({CHANNEL: EVEN_UNREST * height}, {})
     for one in (line, rest):
         assert (one.probability > 0.5) is (height > 1.0)
         assert (one.probability < 0.5) is (height < 1.0)
         assert one.channel == CHANNEL
     assert "rings at about 17.2 Hz" in line.note
-    both = unexplained({CHANNEL: 2.0 * UNREST, OTHER: 3.0 * UNREST}, {CHANNEL: Line(LINE / 2.0, 3.0)})
+    both = unexplained_in_channels(
+        {CHANNEL: 2.0 * EVEN_UNREST, OTHER: 3.0 * EVEN_UNREST}, {CHANNEL: Line(EVEN_LINE_HEIGHT / 2.0, 3.0)}
+    )
     assert both.channel == OTHER
-    assert unexplained({CHANNEL: 0.0}, {CHANNEL: Line(0.0, 3.0)}).probability == 0.0
-    assert unexplained({}, {}).note == ""
+    assert unexplained_in_channels({CHANNEL: 0.0}, {CHANNEL: Line(0.0, 3.0)}).probability == 0.0
+    assert unexplained_in_channels({}, {}).note == ""
 
 
 @pytest.mark.parametrize("height", [0.5, 0.9, 1.1, 3.0])
 def test_a_run_that_stands_out_of_its_channel_is_as_likely_as_not_at_its_threshold(height):
     one = unexplained_in_a_run(
-        {OTHER: [("a", 1.0)], CHANNEL: [("a", 1.0), ("b", RUN_UNREST * height), ("c", 1.2), ("c", 9.0), ("c", 0.9)]}
+        {
+            OTHER: [("a", 1.0)],
+            CHANNEL: [("a", 1.0), ("b", EVEN_RUN_UNREST * height), ("c", 1.2), ("c", 9.0), ("c", 0.9)],
+        }
     )
     assert (one.probability > 0.5) is (height > 1.0)
     assert one.channel == CHANNEL
-    assert f"of b ({CHANNEL[0]}) is {RUN_UNREST * height:.3g} times" in one.note
+    assert f"of b ({CHANNEL[0]}) is {EVEN_RUN_UNREST * height:.3g} times" in one.note
     assert "the middle one of 3 runs 1.2 times; are they of one machine" in one.note
 
 
 def test_a_run_does_not_stand_out_of_others_that_are_restless_too_nor_by_one_of_its_stretches():
-    restless = [("a", 2.0 * UNREST), ("b", 1e4), ("c", 1.5 * UNREST)]
+    restless = [("a", 2.0 * EVEN_UNREST), ("b", 1e4), ("c", 1.5 * EVEN_UNREST)]
     in_stretches = [("a", 1.0), ("a", 1e4), ("a", 1.0), ("b", 1.0), ("c", 1.0)]
     assert unexplained_in_a_run({CHANNEL: restless, OTHER: in_stretches}).probability < 0.1
 
@@ -114,15 +119,15 @@ def record(name, notes=(), kind="ramp", condition="", mechanical="free"):
 
 def test_what_several_runs_have_noted_alike_is_told_once():
     parts = [record("a", ["a: gaps"]), record("a", ["a: gaps"]), record("b", ["b: gaps", "b: late"])]
-    assert gathered(parts) == ("a and 1 more: gaps", "b: late")
-    assert gathered(parts[:2]) == ("a: gaps",)
+    assert reading_notes(parts) == ("a and 1 more: gaps", "b: late")
+    assert reading_notes(parts[:2]) == ("a: gaps",)
 
 
 def test_held_out_runs_of_another_condition_are_noted():
-    told = unlike([record("a"), record("b", condition="cold")], [record("c", condition="hot")])
+    told = condition_notes([record("a"), record("b", condition="cold")], [record("c", condition="hot")])
     assert told == ("ramp: condition of fitted runs: cold, not named; of held-out runs: hot",)
-    assert unlike([record("a", condition="hot"), record("b")], [record("c", condition="hot")]) == ()
-    assert unlike([record("a", kind="steps")], [record("c", condition="hot")]) == ()
+    assert condition_notes([record("a", condition="hot"), record("b")], [record("c", condition="hot")]) == ()
+    assert condition_notes([record("a", kind="steps")], [record("c", condition="hot")]) == ()
 
 
 def stretched(left, stretches=24, runs=1, state=None):
@@ -151,8 +156,8 @@ def test_a_slow_rest_is_one_of_time_and_noise_or_no_gap_is_none():
 def test_squares_beyond_the_noise_of_a_row_are_the_gap():
     rows = SimpleNamespace(left_over=np.zeros(100), white=0.5)
     stack = SimpleNamespace(rows=[rows, None, rows])
-    assert beyond_noise(stack, [0, 2], stretched(np.full(240, 1.0))) == pytest.approx(240.0 - 50.0)
-    assert beyond_noise(stack, [0, 2], stretched(np.full(240, 0.01))) == 0.0
+    assert squares_beyond_noise(stack, [0, 2], stretched(np.full(240, 1.0))) == pytest.approx(240.0 - 50.0)
+    assert squares_beyond_noise(stack, [0, 2], stretched(np.full(240, 0.01))) == 0.0
 
 
 def test_the_shape_of_a_rest_is_what_it_was_and_what_the_function_leaves_of_it():
@@ -166,11 +171,11 @@ def test_the_shape_of_a_rest_is_what_it_was_and_what_the_function_leaves_of_it()
     rows = SimpleNamespace(
         quantity="velocity", role="test", mechanical="free", equation="free_torque", units="N*m", dependence=2.0
     )
-    told = shape(rows, sample, free, "angle")
+    told = shape_picture(rows, sample, free, "angle")
     assert told.periods == 31.0
     assert told.before_rms == pytest.approx(np.sqrt(0.5), rel=0.1)
     assert told.after_rms < 0.05 * told.before_rms
-    assert shape(rows, sample, free, "velocity").periods is None
+    assert shape_picture(rows, sample, free, "velocity").periods is None
 
 
 def test_a_larger_ridge_makes_a_smaller_function():
@@ -191,7 +196,7 @@ def test_the_nearest_effects_are_those_refused_then_doubted_then_not_entered_eac
     assert [one.effect for one in told] == ["torque_ripple", "cogging", "backlash", "presliding"]
     assert told[0].refused_because == "it grew"
     assert told[1].refused_because.startswith("its size is 2 times")
-    assert told[2].refused_because == kept_out(rest[1])
+    assert told[2].refused_because == reason_kept_out(rest[1])
     few = Judged(finding("cogging", 20.0), 0.3, 0.1, (), ())
     [only] = nearest_effects(SimpleNamespace(rest=[]), [few], [])
     assert only.refused_because.startswith("the set explains 30 % of the gap where it acts")

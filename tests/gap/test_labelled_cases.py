@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from leactl.gap.diagnose import diagnose, read_case
-from leactl.gap.verdict.decision import NAMED
+from leactl.gap.verdict.decision import NAMED_PROBABILITY
 
 CASES = Path(__file__).parents[3] / "shared" / "gap-cases"
 SINCE = {  # causes that the vocabulary lacked when the labels were written
@@ -24,7 +24,7 @@ def mistakes(folder):
         held_out = [run for run in runs if run.stem.endswith("-b")]
         fitted = [run for run in runs if run not in held_out]
         found = diagnose(read_case(fitted, held_out, folder / name / "nominal.yaml"))
-        named = {cause.effect for cause in found.causes if cause.probability >= NAMED}
+        named = {cause.effect for cause in found.causes if cause.probability >= NAMED_PROBABILITY}
         outside = label.get("outside_todays_vocabulary")
         acting = {SINCE[outside]} if outside in SINCE else set(label["effects"])
         if (outside and outside not in SINCE) or acting == {"unknown"}:
@@ -41,7 +41,7 @@ def mistakes(folder):
 def is_named(found, named, acting, alike):
     """Whether all that acts is named, one of it first, and nothing that could be told from it."""
     first = found.causes[0]
-    if found.verdict != "effect" or first.probability < NAMED or first.effect not in acting | alike:
+    if found.verdict != "effect" or first.probability < NAMED_PROBABILITY or first.effect not in acting | alike:
         return False
     reported = {first.effect, *first.indistinguishable_from}
     return acting <= named | reported and not named - acting - alike - reported

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import diagnose
-from leactl.gap.verdict.picture import Part, ResidualChannel, picture_of, shows, view_of
+from leactl.gap.verdict.picture import Part, ResidualChannel, picture_of, shows_effect, view_of
 from tests.gap.joints import Effect, Log, case, drawn_joint
 
 CHANNEL = ResidualChannel("velocity", "test", "free", "free_torque", "N*m")
@@ -50,7 +50,7 @@ def test_an_effect_that_a_calibration_stands_in_for_is_drawn_by_itself():
     assert cause.effect == "transport_delay"
     assert drawn.variable == "current_rate"
     assert not drawn.refitted
-    assert shows(drawn)
+    assert shows_effect(drawn)
     falling, rising = (
         [one.before for one in drawn.bins if sign * (one.low + one.high) > 0.0 and math.isfinite(one.before)]
         for sign in (-1, 1)

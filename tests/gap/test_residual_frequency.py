@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl.gap.verdict.residual_frequency import FEWEST_PERIODS, ResidualCourse, gains, strongest_frequency
-from leactl.gap.verdict.state_regression import SURE, certainty
-from leactl.gap.verdict.unknown import LEAST_SLOW
+from leactl.gap.verdict.state_regression import LEAST_CERTAINTY, certainty
+from leactl.gap.verdict.unknown import LEAST_SLOW_SHARE
 
 STRETCHES = 24
 
@@ -33,7 +33,7 @@ def test_any_frequency_is_found_and_explains_runs_of_another_phase(hertz, noise,
     assert explained.sum() == pytest.approx(
         0.5 * len(other.time), rel=0.25, abs=6.0 * noise * np.sqrt(0.5 * len(other.time))
     )
-    assert certainty(explained, other.stretch) >= SURE
+    assert certainty(explained, other.stretch) >= LEAST_CERTAINTY
 
 
 def coloured(time, rng):
@@ -47,8 +47,8 @@ def test_noise_of_any_colour_repeats_by_no_frequency_of_another_run(left_of):
         found = strongest_frequency([course(left_of, seed=3 * seed + k) for k in range(2)])
         other = course(left_of, seed=3 * seed + 2)
         explained = gains(other, found)
-        enough = explained.sum() > LEAST_SLOW * np.sum(other.left**2)
-        taken_for_one += enough and certainty(explained, other.stretch) >= SURE
+        enough = explained.sum() > LEAST_SLOW_SHARE * np.sum(other.left**2)
+        taken_for_one += enough and certainty(explained, other.stretch) >= LEAST_CERTAINTY
     assert taken_for_one == 0
 
 

@@ -16,7 +16,7 @@ from leactl.gap.search.ringing import (
     periodograms,
     without_followed_part,
 )
-from leactl.gap.verdict.judge import LINE
+from leactl.gap.verdict.judge import EVEN_LINE_HEIGHT
 from leactl.model.nominal import Model
 
 ROWS = 12_000
@@ -55,7 +55,7 @@ def test_a_loud_run_of_few_segments_makes_no_line_among_many_quiet_ones(seed):
     draw = np.random.default_rng(seed)
     quiet = periodograms(0.15 * draw.standard_normal(6000))
     loud = periodograms(draw.standard_normal(20 * SEGMENT // 2))
-    assert highest_line(quiet + loud)[1] < LINE
+    assert highest_line(quiet + loud)[1] < EVEN_LINE_HEIGHT
 
 
 @pytest.mark.parametrize("loudness", [0.0, 8.0, 30.0])
@@ -65,7 +65,7 @@ def test_a_tone_of_many_quiet_segments_stays_a_line_beside_a_loud_run(loudness, 
     tone = 0.5 * np.sin(2.0 * np.pi * at / SEGMENT * np.arange(ROWS))
     loud = periodograms(loudness * draw.standard_normal(3 * SEGMENT))
     found, height = highest_line(periodograms(draw.standard_normal(ROWS) + tone) + loud)
-    assert height > LINE
+    assert height > EVEN_LINE_HEIGHT
     assert abs(found - at) <= 1.0
 
 
@@ -84,7 +84,7 @@ def test_what_a_filter_leaves_of_a_motion_is_no_line_of_a_velocity(equation, lef
     index = np.arange(ROWS)
     rows = Rows("r", "k", "free", equation, "velocity", "test", "rad/s", residual, {}, {}, index, index, signals, 1e-3)
     found, height = highest_bin(spectrum(without_followed_part(rows, residual)))
-    assert (found == 7 and height > LINE) is left
+    assert (found == 7 and height > EVEN_LINE_HEIGHT) is left
     found, height = highest_bin(spectrum(without_followed_part(rows, residual + own)))
-    assert height > LINE
+    assert height > EVEN_LINE_HEIGHT
     assert found == 20 or left

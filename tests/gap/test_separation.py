@@ -9,10 +9,10 @@ from leactl.emulation.blind.make import make
 from leactl.gap.diagnose import diagnose, read_case
 from leactl.gap.replay import replay
 from leactl.gap.search.effect_sets import FurtherEffect
-from leactl.gap.verdict.decision import NAMED
+from leactl.gap.verdict.decision import NAMED_PROBABILITY
 from leactl.gap.verdict.judge import Judged
 from leactl.gap.verdict.separation import RuledOut, nearest_of_classes, without_ruled_out
-from leactl.gap.verdict.shrinkage import SquaresRatio, simulated_again, squares_ratio
+from leactl.gap.verdict.shrinkage import SquaresRatio, simulate_again, squares_ratio
 from tests.gap.synthetic import INTERVAL_S, model, record
 
 LATE = ("torque_sensor_lag", "time_skew")
@@ -107,17 +107,17 @@ def test_a_torque_that_is_late_is_told_from_one_that_lags_though_other_channels_
     late = model(("time_skew", {"delay": 0.003}))
     lagging = model(("torque_sensor_lag", {"time_constant": 0.003}))
     run = [square_wave(late)]
-    ratio = squares_ratio(simulated_again(run, (late, late, lagging), RANDOM)[1], RANDOM)
+    ratio = squares_ratio(simulate_again(run, (late, late, lagging), RANDOM)[1], RANDOM)
     assert 1.1 < ratio.low < ratio.value < ratio.high < np.inf
     assert ratio.worst_miss == 1.1  # on the torque alone, which the true model follows to its noise
-    turned = squares_ratio(simulated_again(run, (lagging, lagging, late), RANDOM)[1], RANDOM)
+    turned = squares_ratio(simulate_again(run, (lagging, lagging, late), RANDOM)[1], RANDOM)
     assert turned.low < turned.value < turned.high < 1.0 / 1.1
 
 
 def test_a_run_too_short_to_tell_chance_rules_nothing_out():
     late = model(("time_skew", {"delay": 0.003}))
     lagging = model(("torque_sensor_lag", {"time_constant": 0.003}))
-    _, channels = simulated_again([square_wave(late, seconds=2.0)], (late, late, lagging), RANDOM)
+    _, channels = simulate_again([square_wave(late, seconds=2.0)], (late, late, lagging), RANDOM)
     assert np.isnan(squares_ratio(channels, RANDOM).value)
 
 
@@ -144,7 +144,7 @@ def test_what_truly_acts_is_never_ruled_out_and_most_classes_are_resolved(tmp_pa
         runs = sorted((tmp_path / "cases" / name).glob("*.h5"))
         fitted, held_out = ([run for run in runs if end in run.name] for end in ("-a", "-b"))
         causes = diagnose(read_case(fitted, held_out, runs[0].parent / "nominal.yaml")).causes
-        named = {cause.effect for cause in causes if cause.probability >= NAMED}
+        named = {cause.effect for cause in causes if cause.probability >= NAMED_PROBABILITY}
         assert truth["effects"][0] in named, name
         alone += named == set(truth["effects"])
     print(f"{alone} of {CASES} named alone, the others as one of two")

@@ -10,7 +10,7 @@ from leactl.gap.replay import Job, plant_of, replay, replay_all
 from leactl.gap.replay.bearing import TRIED, give_of
 from leactl.gap.replay.comparison import noise_of_residuals
 from leactl.gap.signals.record import read_record
-from leactl.gap.verdict.shrinkage import closed_between, closes, shrinkage
+from leactl.gap.verdict.shrinkage import closed_interval, closes_gap, shrinkage
 from leactl.model.nominal import Model, read_model
 from tests.gap.synthetic import INTERVAL_S, model, record
 
@@ -46,12 +46,12 @@ def table(shrunk):
 def test_a_share_of_a_gap_that_chance_closes_has_no_interval():
     random = np.random.default_rng(3)
     gaps = np.tile([2.0, 1.0, 0.2, 0.1], (2000, 1)) * random.normal(1.0, 0.02, (2000, 4))
-    low, high = closed_between(gaps)
+    low, high = closed_interval(gaps)
     assert 0.85 < low < 0.8 / 0.9 < high < 0.92
     gaps[:200, 3] = gaps[:200, 1]  # no gap is left in a tenth
-    assert closed_between(gaps) == (None, None)
+    assert closed_interval(gaps) == (None, None)
     gaps[20:200, 3] = 0.1
-    assert closed_between(gaps) == pytest.approx((low, high), abs=0.01)
+    assert closed_interval(gaps) == pytest.approx((low, high), abs=0.01)
 
 
 def test_the_true_model_closes_the_gap_to_the_floor_and_others_stay_open():
@@ -104,7 +104,7 @@ def test_an_effect_closes_a_gap_that_neither_model_without_it_closes(nominal, ca
 def test_a_gap_closes_over_all_stretches_together_or_stretch_by_stretch(gaps, expected):
     before = [4.0] * 8 + [40.0] * 4
     floors = np.transpose([before, before, gaps, np.ones(12)])
-    assert closes([(np.full(12, 100.0), 100.0 * floors**2)], np.random.default_rng(2)) == expected
+    assert closes_gap([(np.full(12, 100.0), 100.0 * floors**2)], np.random.default_rng(2)) == expected
 
 
 def test_a_few_seconds_are_too_little_to_tell_whether_a_gap_closes():

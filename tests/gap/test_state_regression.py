@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from leactl.gap.verdict.state_regression import SURE, Sample, borne_out, certainty, learn, slow_gain
+from leactl.gap.verdict.state_regression import (
+    LEAST_CERTAINTY,
+    Sample,
+    certainty,
+    confirmed_variables,
+    learn,
+    slow_gain,
+)
 
 ROWS, RUNS, STRETCHES = 1500, 2, 24
 NOISE = 0.01
@@ -31,7 +38,7 @@ def described(rest, by=1.0, size=1.0):
     fitted, others = made(1, rest, by, size), made(2, rest, by, size)
     noise = len(fitted) * (size * NOISE) ** 2
     trial, chosen, ridge = learn(fitted, ORDERS, float(np.sum(fitted.left**2)) - noise)
-    kept = borne_out(trial, chosen, ridge, others)
+    kept = confirmed_variables(trial, chosen, ridge, others)
     free = trial.function(kept, ridge)
     after = float(np.sum((others.left - free.of(others)) ** 2))
     return set(free.variables), 1.0 - (after - noise) / (float(np.sum(others.left**2)) - noise), free
@@ -85,10 +92,10 @@ def test_what_drifts_is_like_its_neighbours_and_bursts_are_not():
     drifting, bursting = made(3, of_time), made(3, of_bursts)
     for sample, slow in ((drifting, True), (bursting, False)):
         gained = slow_gain(sample.left, sample.stretch)
-        is_sure = certainty(gained, sample.stretch) >= SURE
+        is_sure = certainty(gained, sample.stretch) >= LEAST_CERTAINTY
         assert bool(is_sure and gained.sum() > 0.2 * np.sum(sample.left**2)) is slow
 
 
 def test_one_stretch_alone_makes_nothing_certain():
     assert certainty(np.ones(50), np.zeros(50, int)) == 0.5
-    assert certainty(np.ones(50) + np.arange(50) / 50, np.arange(50)) > SURE
+    assert certainty(np.ones(50) + np.arange(50) / 50, np.arange(50)) > LEAST_CERTAINTY

@@ -9,20 +9,28 @@ import pytest
 from leactl.gap.diagnosis import Cause, EffectParameter, Region, Where
 from leactl.gap.replay.comparison import Compared
 from leactl.gap.signals.record import Clocked, Record
-from leactl.gap.verdict.where import MOST, NARROW, PROFILE_BINS, binned, narrowest, profiles, where
+from leactl.gap.verdict.where import (
+    MOST_REGION_DATA,
+    PROFILE_BINS,
+    REGION_SHARE,
+    bin_statistics,
+    narrowest_interval,
+    profiles,
+    where,
+)
 
 
 def test_the_narrowest_interval_holds_most_of_the_squares():
     values = np.random.default_rng(1).uniform(0.0, 12.0, 24000)
-    low, high, share, part = narrowest(values, np.where((values > 4.0) & (values < 6.0), 1.0, 0.01))
+    low, high, share, part = narrowest_interval(values, np.where((values > 4.0) & (values < 6.0), 1.0, 0.01))
     assert (low, high) == pytest.approx((4.0, 6.0), abs=0.1)
-    assert share > MOST
+    assert share > REGION_SHARE
     assert part == pytest.approx(2 / 12, abs=0.01)
 
 
 def test_an_interval_of_a_direction_is_a_whole_direction():
     values = np.repeat([-1.0, 0.0, 1.0], [500, 10, 490])
-    low, high, share, part = narrowest(values, np.where(values > 0.0, 1.0, 0.001))
+    low, high, share, part = narrowest_interval(values, np.where(values > 0.0, 1.0, 0.001))
     assert (low, high) == (1.0, 1.0)
     assert share > 0.99
     assert part == pytest.approx(0.49)
@@ -30,12 +38,12 @@ def test_an_interval_of_a_direction_is_a_whole_direction():
 
 def test_squares_in_both_directions_have_no_narrow_interval():
     values = np.repeat([-1.0, 0.0, 1.0], [500, 10, 490])
-    assert narrowest(values, np.where(values == 0.0, 0.001, 1.0))[3] > NARROW
+    assert narrowest_interval(values, np.where(values == 0.0, 0.001, 1.0))[3] > MOST_REGION_DATA
 
 
 def test_bins_have_mean_and_standard_deviation_of_each_row():
     values = np.linspace(0.0, 10.0, 5000)
-    low, high, mean, std = binned(values, np.stack([values, -values, np.tile([-1.0, 1.0], 2500)]))
+    low, high, mean, std = bin_statistics(values, np.stack([values, -values, np.tile([-1.0, 1.0], 2500)]))
     assert mean.shape == std.shape == (3, PROFILE_BINS)
     assert mean[0] == pytest.approx((low + high) / 2, abs=0.01)
     assert mean[1] == pytest.approx(-mean[0])
@@ -44,13 +52,13 @@ def test_bins_have_mean_and_standard_deviation_of_each_row():
 
 def test_few_levels_have_a_bin_each_and_rare_ones_none():
     values = np.repeat([-1.0, 0.0, 1.0], [50, 3, 40])
-    low, high, mean, _ = binned(values, values[None, :])
+    low, high, mean, _ = bin_statistics(values, values[None, :])
     assert (low + high) / 2 == pytest.approx([-1.0, 1.0])
     assert mean[0] == pytest.approx([-1.0, 1.0])
 
 
 def test_too_few_samples_have_no_bins():
-    low, _, mean, std = binned(np.arange(3.0), np.zeros((3, 3)))
+    low, _, mean, std = bin_statistics(np.arange(3.0), np.zeros((3, 3)))
     assert len(low) == 0
     assert mean.shape == std.shape == (3, 0)
 
@@ -74,7 +82,7 @@ def test_a_gap_that_an_effect_closes_is_told_by_what_it_acts_in_and_not_by_a_pro
     told = located(wave, (cogging,))
     assert (told.region.variable, told.region.within_turn) == ("angle", True)
     assert 0.0 <= told.region.low < told.region.high <= 2.0 * np.pi
-    assert told.share >= MOST
+    assert told.share >= REGION_SHARE
     assert located(wave, ()).region.variable in ("winding_temperature", "time")
     assert located(0.05 * wave, (cogging,)).region.variable != "angle"  # it leaves nearly all of it
 
@@ -134,5 +142,5 @@ def test_a_profile_is_over_the_region_s_variable_with_mean_and_spread_of_each_mo
 
 
 def test_a_single_level_has_one_bin():
-    low, high, mean, _ = binned(np.full(20, 2.0), np.full((3, 20), 0.5))
+    low, high, mean, _ = bin_statistics(np.full(20, 2.0), np.full((3, 20), 0.5))
     assert (low.tolist(), high.tolist(), mean.tolist()) == ([1.5], [2.5], [[0.5]] * 3)

@@ -10,7 +10,7 @@ from leactl.gap.blind.check import OpenKey
 from leactl.gap.blind.truth import Truth
 from leactl.gap.diagnose import diagnose, read_case
 from leactl.gap.diagnosis import Cause, DiagnosisResult
-from leactl.gap.verdict.decision import NAMED
+from leactl.gap.verdict.decision import NAMED_PROBABILITY
 from leactl.processes import Progress
 
 Outcome = Literal["named", "named with others", "missed"]
@@ -45,7 +45,7 @@ class Demonstration:
 
 def named(answer: DiagnosisResult) -> list[Cause]:
     """Causes at even odds or better."""
-    return [cause for cause in answer.causes if cause.probability >= NAMED]
+    return [cause for cause in answer.causes if cause.probability >= NAMED_PROBABILITY]
 
 
 def demonstrate(cases: Path, out: Path, open_key: OpenKey, progress: Progress) -> Demonstration:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from leactl.gap.blind.truth import Truth
-from leactl.gap.verdict.decision import NAMED
-from leactl.gap.verdict.withdrawal import GROWN
+from leactl.gap.verdict.decision import NAMED_PROBABILITY
+from leactl.gap.verdict.withdrawal import MOST_EQUAL_RATIO
 
 LEAST_MOVED = 1.0  # floors below which a gap is hidden in noise
 AS_GOOD = 0.9  # share of the most floors moved that counts as equal: two actuators measure the speed of one shaft
@@ -71,7 +71,7 @@ class Mark:
     @property
     def named(self) -> tuple[str, ...]:
         """Causes at even odds or better."""
-        return tuple(name for name, probability in self.causes if probability >= NAMED)
+        return tuple(name for name, probability in self.causes if probability >= NAMED_PROBABILITY)
 
     @property
     def names_what_is_not_there(self) -> bool:
@@ -112,7 +112,7 @@ def mark(name: str, truth: Truth, answer: Document, measured: Document) -> Mark:
     )
     departures = tuple(departures_of(truth, answer["calibration"]))
     lines = answer["shrinkage"]
-    some_named = any(probability >= NAMED for _, probability in causes)
+    some_named = any(probability >= NAMED_PROBABILITY for _, probability in causes)
     return Mark(
         name,
         truth,
@@ -140,7 +140,7 @@ def narrows(lines: Sequence[Document], before: str, after: str) -> bool | None:
     squares_before, squares_after = (
         sum((line[model] / line["floor_rms"]) ** 2 for line in usable) for model in (before, after)
     )
-    return bool(squares_after <= GROWN * squares_before)
+    return bool(squares_after <= MOST_EQUAL_RATIO * squares_before)
 
 
 def farthest(lines: Sequence[Document], by: str) -> list[tuple[str, str, str]]:

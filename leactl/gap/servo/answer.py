@@ -18,8 +18,8 @@ from leactl.gap.servo.runs import runs_at_common_rate
 from leactl.gap.servo.simulation import FREE
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.rig import drive_of
-from leactl.gap.verdict.decision import NAMED
-from leactl.gap.verdict.judge import UNCONFIRMED
+from leactl.gap.verdict.decision import NAMED_PROBABILITY
+from leactl.gap.verdict.judge import UNCONFIRMED_FACTOR
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 
@@ -89,7 +89,7 @@ def causes(
         )
         for item in fitted_sets.standing
     ]
-    named = [_entry(cause) for cause in from_free_runs if cause.probability >= NAMED]
+    named = [_entry(cause) for cause in from_free_runs if cause.probability >= NAMED_PROBABILITY]
     from_balance = [cause for cause in balanced if cause.effect not in SIMULATED]
     if from_balance:
         error_without, *with_each = mean_square_errors(
@@ -98,7 +98,7 @@ def causes(
         from_balance = [
             cause
             if closer < CONFIRMED_ERROR_RATIO * error_without
-            else replace(cause, probability=cause.probability * UNCONFIRMED)
+            else replace(cause, probability=cause.probability * UNCONFIRMED_FACTOR)
             for cause, closer in zip(from_balance, with_each, strict=True)
         ]
     return tuple(sorted([*from_free_runs, *from_balance], key=lambda cause: -cause.probability))

@@ -22,8 +22,8 @@ from leactl.gap.servo.profile import PROFILE
 from leactl.gap.servo.runs import ServoRuns, runs_at_common_rate, servo_runs
 from leactl.gap.servo.simulation import Parameters, parts_of, table
 from leactl.gap.signals.record import Record
-from leactl.gap.verdict.decision import LISTED, NAMED
-from leactl.gap.verdict.judge import UNCONFIRMED, presence
+from leactl.gap.verdict.decision import LISTED_PROBABILITY, NAMED_PROBABILITY
+from leactl.gap.verdict.judge import UNCONFIRMED_FACTOR, presence
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
@@ -109,7 +109,7 @@ def fit_effect_sets(
     unseen = runs_at_common_rate(held_out, model)
     sets.fit_missing([members - {name} for name in sorted(members)], members)
     standing = standing_of(sets, members, runs, servo_runs(unseen, model) if unseen else None)
-    named = frozenset(item.effect for item in standing if item.probability >= NAMED)
+    named = frozenset(item.effect for item in standing if item.probability >= NAMED_PROBABILITY)
     sets.fit_missing([named, frozenset()], members)
     final = sets.settle(named)
     # a step of the simulation takes what it follows as if it had come half a step earlier
@@ -160,7 +160,7 @@ class Sets(dict[Set, FittedServo]):
         fitted = self[members]
         left_open = open_cost(self, members, judged, self._runs)
         most = math.log((fitted.cost + left_open) / left_open) if left_open else math.inf
-        return presence(height(most, fitted)) < NAMED
+        return presence(height(most, fitted)) < NAMED_PROBABILITY
 
     def fit_missing(self, wanted: Sequence[Set], largest: Set) -> None:
         """Fit those sets that were not tried, each from a larger one."""
@@ -192,7 +192,7 @@ class Sets(dict[Set, FittedServo]):
                 for name in members
             }
             weakest = min(sorted(members), key=lambda name: heights[name])
-            if presence(heights[weakest]) >= NAMED:
+            if presence(heights[weakest]) >= NAMED_PROBABILITY:
                 break
             members = members - {weakest}
         return members
@@ -234,7 +234,7 @@ def standing_of(
             name,
             acts(name, fitted.parameters, runs)
             * presence(height(worse[name], fitted))
-            * (1.0 if unseen_loss[name] < worse[name] else UNCONFIRMED),
+            * (1.0 if unseen_loss[name] < worse[name] else UNCONFIRMED_FACTOR),
             worse[name] / sum(worse.values()),
             parameters_of(name, fitted, stds),
             in_place_of(sets, members, name, runs),
@@ -243,8 +243,11 @@ def standing_of(
     ]
     for larger in [larger for larger in sets if len(larger) == len(members) + 1 and larger > members]:
         (name,) = larger - members
-        probability = min(presence(height(log_cost_ratio(sets, members, larger, runs), sets[larger])), NAMED - LISTED)
-        if probability >= LISTED:
+        probability = min(
+            presence(height(log_cost_ratio(sets, members, larger, runs), sets[larger])),
+            NAMED_PROBABILITY - LISTED_PROBABILITY,
+        )
+        if probability >= LISTED_PROBABILITY:
             further = parameters_of(name, sets[larger], errors_of(sets[larger], runs))
             standings.append(LikelyEffect(name, probability, 0.0, further))
     return tuple(sorted(standings, key=lambda item: (-item.probability, -item.share)))

@@ -21,7 +21,7 @@ from leactl.gap.setup import SetUpFault
 from leactl.gap.signals.record import Record
 from leactl.gap.simulated.nominal import NominalOfSimulator
 from leactl.gap.simulated.simulator_effects import KnownEffect, known_effects, records_without
-from leactl.gap.verdict.decision import NAMED, verdict_of
+from leactl.gap.verdict.decision import NAMED_PROBABILITY, verdict_of
 
 MOST_PRIORS_OFF = 3.0  # prior widths beyond which a parameter is that of another machine
 LEAST_DIFFERENCE = 0.02  # smallest relative difference of a parameter; the freedom of an effect's form makes less
@@ -86,7 +86,7 @@ def side_by_side_in_free_runs(nominal: NominalOfSimulator, alone: DiagnosisResul
 
     The real runs were diagnosed against the simulator's parameters without its effects.
     """
-    real = {cause.effect: cause.parameters for cause in alone.causes if cause.probability >= NAMED}
+    real = {cause.effect: cause.parameters for cause in alone.causes if cause.probability >= NAMED_PROBABILITY}
     sizes = {}
     for cause in nominal.causes:
         simulated_parameters, real_parameters = cause.parameters, real.get(cause.effect, ())

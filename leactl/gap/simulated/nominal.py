@@ -20,7 +20,7 @@ from leactl.gap.servo.answer import judged_by_runs
 from leactl.gap.setup import SetUpFault
 from leactl.gap.signals.record import Record
 from leactl.gap.simulated.simulator_effects import KnownEffect, known_effects
-from leactl.gap.verdict.decision import NAMED
+from leactl.gap.verdict.decision import NAMED_PROBABILITY
 from leactl.model.nominal import Model
 
 MOST_FITS = 4  # most fits from a far start; three fits reach a parameter that is off by a factor of ten
@@ -86,7 +86,7 @@ def nominal_of(
     augmented: Model = answer.extra["augmented"]
     base = augmented.model_copy(update={"effects": []})
     present = {entry.effect for entry in augmented.effects}
-    causes = tuple(c for c in answer.causes if c.effect in present and c.probability >= NAMED)
+    causes = tuple(c for c in answer.causes if c.effect in present and c.probability >= NAMED_PROBABILITY)
     applied_forms = () if by_free_runs else answer.extra.get("standing", ())
     candidates = [candidate for candidate in applied_forms if candidate[0] in present]
     evidence = Evidence(mended.fitted, base, only=candidates)

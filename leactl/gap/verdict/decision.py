@@ -4,15 +4,15 @@ from collections.abc import Sequence
 
 from leactl.gap.diagnosis import Cause, Verdict
 
-LISTED = 0.01  # probability from which an effect stands among the causes
-NAMED = 0.5  # probability from which an effect counts as named
-UNKNOWN = 0.5  # probability that something unexplained acts, from which the verdict is that where no effect is named
+LISTED_PROBABILITY = 0.01  # probability from which an effect stands among the causes
+NAMED_PROBABILITY = 0.5  # probability from which an effect counts as named
+UNKNOWN_PROBABILITY = 0.5  # probability of something unexplained from which the verdict is `unknown` if none is named
 
 
 def verdict_of(causes: Sequence[Cause], surprise: float, calibrates: bool) -> Verdict:
     """Return the verdict by the causes, the probability of something unexplained, and whether calibration gains."""
-    if any(cause.probability >= NAMED for cause in causes):
+    if any(cause.probability >= NAMED_PROBABILITY for cause in causes):
         return "effect"
-    if surprise >= UNKNOWN:
+    if surprise >= UNKNOWN_PROBABILITY:
         return "unknown"
     return "calibration" if calibrates else "none"

@@ -19,18 +19,22 @@ from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
 from leactl.gap.search.ringing import Line
 from leactl.gap.signals.record import Record
 
-EXACT_FORM_ERROR = 0.0005
-SURE, HALF, SLOPE = 0.998, 3.8, 2.5  # largest probability, height with even odds, and slope of the probability
-CLASS = 0.2  # share of the winner's weight above which a rival is named together with it
-COVERED_WIDTH = 0.02  # change of the explained share over which the probability changes
-UNCONFIRMED = 0.4  # factor on the probability of an effect that makes held-out runs worse
-SHARED_LEFT = 5e-4  # share of an equation's largest part below which a slow residual shows nothing
-NOISE_BESIDE = 1.6  # squared ratio of a row's noise to that of its differences, where rows overlap
-FORM_LEFT = 0.01  # share of the squares explained in a channel that inexact forms may leave there
-UNREST, UNREST_SLOPE = 5.0, 2.5  # unrest, over that of benches without effects, with even odds; and its slope
-RUN_UNREST = 25.0  # the same for one run whose median run is at rest, and for a held-out run's squares over fitted ones
-ONE_MACHINE = "are they of one machine in one state?"
-LINE, LINE_SLOPE = 1.28, 30.0  # height of a spectral line, over its neighbourhood, with even odds; and its slope
+EXACT_FORM_ERROR = 0.0005  # `RIVAL_FORM_ERROR` of two pure lags, whose forms are nearly exact
+MOST_PROBABILITY = 0.998  # of an effect of any height
+EVEN_HEIGHT = 3.8  # height of an effect that is as likely present as not
+HEIGHT_SLOPE = 2.5  # e-folds of the odds for each unit of height
+CLASS_WEIGHT = 0.2  # share of the winner's weight above which a rival is named together with it
+COVERED_WIDTH = 0.02  # change of the explained share that changes the odds by an e-fold
+UNCONFIRMED_FACTOR = 0.4  # factor on the probability of an effect that makes held-out runs worse
+LEAST_SLOW_RESIDUAL = 5e-4  # share of an equation's largest part below which a slow residual shows nothing
+OVERLAP_NOISE_RATIO = 1.6  # squared ratio of a row's noise to that of its differences, where rows overlap
+FORM_LEFT_SHARE = 0.01  # share of the squares explained in a channel that inexact forms may leave there
+EVEN_UNREST = 5.0  # unrest, over that of benches without effects, at even odds of something unexplained
+UNREST_SLOPE = 2.5  # exponent with which the odds grow with that ratio
+EVEN_RUN_UNREST = 25.0  # `EVEN_UNREST` for one run while the median run is at rest, and for a held-out run
+ONE_MACHINE_QUESTION = "are they of one machine in one state?"
+EVEN_LINE_HEIGHT = 1.28  # height of a spectral line over its neighbourhood at even odds
+LINE_SLOPE = 30.0  # exponent with which the odds grow with that height
 
 
 Channel = tuple[str, str, str]
@@ -61,15 +65,18 @@ def judge(evidence: Evidence, result: EffectSet, held_out: Mapping[Candidate, fl
         present = (
             presence(member.height)
             * coverage(explained - library()[member.effect].explains)
-            * (UNCONFIRMED if held_out.get(member.candidate, 0.0) < 0.0 else 1.0)
+            * (UNCONFIRMED_FACTOR if held_out.get(member.candidate, 0.0) < 0.0 else 1.0)
         )
         weights = [
-            math.exp(min((r.gain - member.gain) / (2.0 * spread(member, r, result.missed)), 2.0)) * presence(r.height)
+            math.exp(min((r.gain - member.gain) / (2.0 * pair_gain_tolerance(member, r, result.missed)), 2.0))
+            * presence(r.height)
             for r in rivals[1:]
         ]
         total = presence(member.height) + sum(weights)
         member_share = presence(member.height) / total if total > 0 else 0.0
-        peers = tuple(r.effect for r, w in zip(rivals[1:], weights, strict=True) if w > CLASS * presence(member.height))
+        peers = tuple(
+            r.effect for r, w in zip(rivals[1:], weights, strict=True) if w > CLASS_WEIGHT * presence(member.height)
+        )
         class_share = member_share + sum(
             w / total for r, w in zip(rivals[1:], weights, strict=True) if r.effect in peers
         )
@@ -78,7 +85,7 @@ def judge(evidence: Evidence, result: EffectSet, held_out: Mapping[Candidate, fl
     return sorted(judged, key=lambda item: -item.probability)
 
 
-def spread(member: FurtherEffect, rival: FurtherEffect, missed: Mapping[Candidate, float]) -> float:
+def pair_gain_tolerance(member: FurtherEffect, rival: FurtherEffect, missed: Mapping[Candidate, float]) -> float:
     """Return the difference of two gains that noise and inexact forms explain; forms of pure lags are nearly exact.
 
     A form misses a usual share of what it explains, but no more than free forms of both effects explain in addition.
@@ -103,7 +110,7 @@ def coverage(beyond: float) -> float:
 
 def presence(height: float) -> float:
     """Return the probability that an effect of this height is no model error."""
-    return SURE / (1.0 + math.exp(-SLOPE * (height - HALF)))
+    return MOST_PROBABILITY / (1.0 + math.exp(-HEIGHT_SLOPE * (height - EVEN_HEIGHT)))
 
 
 def unrest_of_runs(evidence: Evidence, result: EffectSet) -> RunRatios:
@@ -118,9 +125,9 @@ def unrest_of_runs(evidence: Evidence, result: EffectSet) -> RunRatios:
         white = evidence.sound_white(rows)
         value = (rows.noise / white) ** 2 * rows.dependence
         expected = evidence.expected(rows, white)
-        slow_power = max(rows.noise**2 - white**2 * NOISE_BESIDE, 0.0)
+        slow_power = max(rows.noise**2 - white**2 * OVERLAP_NOISE_RATIO, 0.0)
         # the residual of a large signal under a shared parameter shows nothing either
-        if left_by_form(result, index) or slow_power < (SHARED_LEFT * largest(rows)) ** 2:
+        if is_left_by_form(result, index) or slow_power < (LEAST_SLOW_RESIDUAL * largest_part(rows)) ** 2:
             value = min(value, expected)
         ratios.setdefault((rows.equation, rows.quantity, rows.mechanical), []).append((rows.run, value / expected))
     return ratios
@@ -128,20 +135,20 @@ def unrest_of_runs(evidence: Evidence, result: EffectSet) -> RunRatios:
 
 def unrest(by_run: RunRatios) -> dict[Channel, float]:
     """Return the median unrest of each channel over its runs and stretches."""
-    return {channel: middle(ratio for _, ratio in ratios) for channel, ratios in by_run.items()}
+    return {channel: median(ratio for _, ratio in ratios) for channel, ratios in by_run.items()}
 
 
-def middle(ratios: Iterable[float]) -> float:
+def median(ratios: Iterable[float]) -> float:
     """Return the median."""
     return float(np.median(list(ratios)))
 
 
-def left_by_form(result: EffectSet, index: int) -> bool:
+def is_left_by_form(result: EffectSet, index: int) -> bool:
     """Return whether a nearly right form of a large effect explains the residual of one group of rows."""
-    return result.left[index] < FORM_LEFT * result.taken[index]
+    return result.left[index] < FORM_LEFT_SHARE * result.taken[index]
 
 
-def largest(rows: Rows) -> float:
+def largest_part(rows: Rows) -> float:
     """Return the root mean square of the largest part of an equation that a calibrated parameter scales."""
     parts = (column for name, column in rows.columns.items() if name[0] == "calibration")
     return max((float(np.sqrt(np.mean(part**2))) for part in parts), default=0.0)
@@ -156,16 +163,16 @@ class Unexplained:
     channel: Channel | None = None  # channel that shows it
 
 
-def unexplained(unrest_by_channel: Mapping[Channel, float], lines: Mapping[Channel, Line]) -> Unexplained:
+def unexplained_in_channels(unrest_by_channel: Mapping[Channel, float], lines: Mapping[Channel, Line]) -> Unexplained:
     """Return the likeliest sign of something unexplained: the unrest of a channel or a line in a spectrum."""
     candidates = [Unexplained(0.0, "")]
     for (equation, quantity, mechanical), ratio in unrest_by_channel.items():
-        probability = beyond_sound(ratio, UNREST)
+        probability = unexplained_probability(ratio, EVEN_UNREST)
         evidence = f"{ratio:.3g} times as far from noise as a sound model leaves it"
         note = f"unexplained: {quantity}, {mechanical} ({equation}) is {evidence}"
         candidates.append(Unexplained(probability, note, (equation, quantity, mechanical)))
     for (equation, quantity, mechanical), line in lines.items():
-        probability = 1.0 / (1.0 + (LINE / line.height) ** LINE_SLOPE) if line.height > 0.0 else 0.0
+        probability = 1.0 / (1.0 + (EVEN_LINE_HEIGHT / line.height) ** LINE_SLOPE) if line.height > 0.0 else 0.0
         evidence = f"rings at about {line.frequency:.3g} Hz"
         note = f"unexplained: what is left of {quantity}, {mechanical} ({equation}) {evidence}"
         candidates.append(Unexplained(probability, note, (equation, quantity, mechanical)))
@@ -179,18 +186,22 @@ def unexplained_in_a_run(by_run: RunRatios) -> Unexplained:
     """
     candidates = [Unexplained(0.0, "")]
     for (equation, quantity, mechanical), ratios in by_run.items():
-        runs = {run: middle(ratio for name, ratio in ratios if name == run) for run, _ in ratios}
+        runs = {run: median(ratio for name, ratio in ratios if name == run) for run, _ in ratios}
         run, ratio = max(runs.items(), key=lambda item: item[1])
-        typical = middle(runs.values())
-        if typical < UNREST:
+        typical = median(runs.values())
+        if typical < EVEN_UNREST:
             excess = f"{ratio:.3g} times as far from noise as a sound model leaves it"
             comparison = f"the middle one of {len(runs)} runs {typical:.3g} times"
-            note = f"unexplained: {quantity} of {run} ({equation}) is {excess}, {comparison}; {ONE_MACHINE}"
-            candidates.append(Unexplained(beyond_sound(ratio, RUN_UNREST), note, (equation, quantity, mechanical)))
+            note = f"unexplained: {quantity} of {run} ({equation}) is {excess}, {comparison}; {ONE_MACHINE_QUESTION}"
+            candidates.append(
+                Unexplained(unexplained_probability(ratio, EVEN_RUN_UNREST), note, (equation, quantity, mechanical))
+            )
     return max(candidates, key=lambda candidate: candidate.probability)
 
 
-def unlike_fitted(evidence: Evidence, hypothesis: Sequence[Candidate], held_out: Sequence[Record]) -> Unexplained:
+def unexplained_in_held_out(
+    evidence: Evidence, hypothesis: Sequence[Candidate], held_out: Sequence[Record]
+) -> Unexplained:
     """Judge the held-out run with the largest residual, in multiples of the worst fitted run of its kind.
 
     A held-out run of another machine, or of the same machine in another state, shows in no fitted run.
@@ -216,8 +227,10 @@ def unlike_fitted(evidence: Evidence, hypothesis: Sequence[Candidate], held_out:
             equation, quantity, mechanical, _ = key
             times = f"{math.sqrt(max(ratio, 0.0)):.3g} times"
             distance = f"is {times} as far off the fit as in the fitted runs of its kind"
-            note = f"unexplained: {quantity} of {run} ({equation}) {distance}; {ONE_MACHINE}"
-            candidates.append(Unexplained(beyond_sound(ratio, RUN_UNREST), note, (equation, quantity, mechanical)))
+            note = f"unexplained: {quantity} of {run} ({equation}) {distance}; {ONE_MACHINE_QUESTION}"
+            candidates.append(
+                Unexplained(unexplained_probability(ratio, EVEN_RUN_UNREST), note, (equation, quantity, mechanical))
+            )
     return max(candidates, key=lambda candidate: candidate.probability)
 
 
@@ -234,14 +247,14 @@ def squares_left(stacked: Stack, fit: Fit) -> dict[tuple[str, str, str, str], di
         by_run.setdefault(rows.run, []).append(squares)
     return {
         key: {
-            run: (middle(square for square, _ in pairs), middle(square for _, square in pairs))
+            run: (median(square for square, _ in pairs), median(square for _, square in pairs))
             for run, pairs in runs.items()
         }
         for key, runs in by_kind.items()
     }
 
 
-def beyond_sound(ratio: float, even_ratio: float) -> float:
+def unexplained_probability(ratio: float, even_ratio: float) -> float:
     """Return the probability that something unexplained acts on a channel.
 
     ratio : residual power over that of a sound machine.

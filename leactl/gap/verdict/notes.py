@@ -9,7 +9,7 @@ from leactl.gap.signals.record import Record
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 
-NEEDS = {
+CHANNEL_QUESTIONS = {
     "torque": ("the torque sensor", "a torque channel in a locked or coupled run"),
     "q_axis_voltage": ("resistance, back-EMF and the inverter", "the q-axis voltage"),
     "angle": ("friction, inertia and everything periodic in angle", "the angle of a moving run"),
@@ -25,9 +25,9 @@ def questions(model: Model, records: Sequence[Record], evidence: Evidence, by_ru
     by_runs : whether free runs judge the effects of a servo, which are then not invisible.
     """
     notes = []
-    for quantity, (question, need) in NEEDS.items():
+    for quantity, (question, need) in CHANNEL_QUESTIONS.items():
         role = "bench" if quantity == "bus_voltage" else "test"
-        if not any(has(record, quantity, role) for record in records):
+        if not any(has_channel(record, quantity, role) for record in records):
             notes.append(f"not answered: {question}; it needs {need}")
     if model.feedforward is not None:
         notes.append("torques are told in volts: a feedforward says nothing of the torque that a volt makes")
@@ -36,17 +36,19 @@ def questions(model: Model, records: Sequence[Record], evidence: Evidence, by_ru
             "torques, inertias and powers go by the model's torque_constant, which these runs cannot tell: its error"
             f" ({100.0 * PRIORS['torque_constant']:.0f} % is usual) is in all of them alike, beside their own"
         )
-    if model.drive is None and any(has(record, "angle_reference", "test") for record in records):
+    if model.drive is None and any(has_channel(record, "angle_reference", "test") for record in records):
         notes.append("not answered: limits and dead band of the servo; they need its `drive:` in the model")
     hidden = [
-        name for name in invisible(model, evidence) if not (by_runs and effect_definition(name).shown_on == ("servo",))
+        name
+        for name in invisible_effects(model, evidence)
+        if not (by_runs and effect_definition(name).shown_on == ("servo",))
     ]
     if hidden:
         notes.append(f"invisible in these runs: {', '.join(hidden)}")
     return tuple(notes)
 
 
-def beyond_null(evidence: Evidence, null: Null) -> tuple[str, ...]:
+def null_notes(evidence: Evidence, null: Null) -> tuple[str, ...]:
     """Return notes on parameters that the runs do not determine, and on equations without a simulated sound run."""
     notes = []
     if null.unidentifiable:
@@ -61,7 +63,7 @@ def beyond_null(evidence: Evidence, null: Null) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def gathered(records: Sequence[Record]) -> tuple[str, ...]:
+def reading_notes(records: Sequence[Record]) -> tuple[str, ...]:
     """Return the notes made while runs were read; a note on several runs occurs once."""
     runs: dict[str, list[str]] = {}
     for record in records:
@@ -75,7 +77,7 @@ def gathered(records: Sequence[Record]) -> tuple[str, ...]:
     )
 
 
-def unlike(fitted: Sequence[Record], held_out: Sequence[Record]) -> tuple[str, ...]:
+def condition_notes(fitted: Sequence[Record], held_out: Sequence[Record]) -> tuple[str, ...]:
     """Return notes on held-out runs of a kind that was fitted in other conditions or set-ups only."""
     notes = []
     for name in ("condition", "mechanical"):
@@ -88,12 +90,12 @@ def unlike(fitted: Sequence[Record], held_out: Sequence[Record]) -> tuple[str, .
     return tuple(notes)
 
 
-def has(record: Record, quantity: str, role: str) -> bool:
+def has_channel(record: Record, quantity: str, role: str) -> bool:
     """Return whether a run has a channel on either clock."""
     return any(clock is not None and clock.get(quantity, role) is not None for clock in (record.fast, record.slow))
 
 
-def invisible(model: Model, evidence: Evidence) -> list[str]:
+def invisible_effects(model: Model, evidence: Evidence) -> list[str]:
     """Return the effects that no equation of these runs has a column for."""
     visible = {name[1] for name in evidence.stack.names if name[0] == "effect"}
     return [name for name, effect in library().items() if effect.applies(model) and name not in visible]

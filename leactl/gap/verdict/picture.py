@@ -41,15 +41,16 @@ from leactl.vocabulary.variable import VARIABLES, Variable
 
 Array = npt.NDArray[np.float64]
 Groups = npt.NDArray[np.intp]
-LEAST_EDGES = 3  # fewest bin edges: two bins, since one says nothing of a variable
-FEWEST_OFF, CLOSED = 2, 0.4  # of a visible effect: bins off zero before, and largest share of their mean left after
-STILL = 1e-3  # share of the largest value below which a variable has no sign
+FEWEST_EDGES = 3  # bin edges, for two bins: one bin shows no dependence on a variable
+FEWEST_BINS_OFF = 2  # bins of a visible effect that are off zero without it
+MOST_MEANS_LEFT = 0.4  # share of the root mean square of the bin means that may remain with the effect
+MOST_STILL_VALUE = 1e-3  # share of a variable's largest value up to which it has no sign
 
 
-SIGNS: tuple[Variable, ...] = ("velocity", "q_axis_current", "torque_rate")
+SIGN_VARIABLES: tuple[Variable, ...] = ("velocity", "q_axis_current", "torque_rate")
 """Variables whose sign a residual may be multiplied by: a residual that reverses with them would cancel in a bin."""
 EPSILON = float(np.finfo(np.float64).eps)
-SQUARED = 1e-150  # about the smallest number whose square does not underflow
+LEAST_SQUARABLE = 1e-150  # about the smallest number whose square does not underflow
 
 
 class ResidualChannel(NamedTuple):
@@ -93,7 +94,7 @@ class View:
     along: Along
 
 
-def pictured(
+def draw_pictures(
     causes: Sequence[Cause],
     evidence: Evidence,
     hypothesis: Sequence[Candidate],
@@ -108,7 +109,7 @@ def pictured(
     hypothesis : forms of the effects in the augmented model.
     alternatives : forms of effects that may be named instead of one of these.
     """
-    sets = {cause.effect: in_place(cause, hypothesis, alternatives) for cause in causes}
+    sets = {cause.effect: set_for_cause(cause, hypothesis, alternatives) for cause in causes}
     all_candidates = list(dict.fromkeys(candidate for candidates in sets.values() for candidate in candidates))
     if not all_candidates or not held_out:
         return tuple(causes)
@@ -128,19 +129,21 @@ def pictured(
             parts = parts_of(held_out_evidence, form, before, after)
             if (drawing := picture(cause, parts)) is not None:
                 drawing = replace(drawing, refitted=True)
-                if not shows(drawing):
+                if not shows_effect(drawing):
                     partial = picture(cause, [replace(part, before=part.after + part.effect) for part in parts])
-                    drawing = replace(partial, refitted=False) if partial is not None and shows(partial) else drawing
+                    drawing = (
+                        replace(partial, refitted=False) if partial is not None and shows_effect(partial) else drawing
+                    )
         with_pictures.append(replace(cause, picture=drawing))
     return tuple(with_pictures)
 
 
-def shows(drawing: Picture) -> bool:
+def shows_effect(drawing: Picture) -> bool:
     """Return whether the bin means follow the variable before the effect is added, and far less after."""
-    return drawing.off_zero_before >= FEWEST_OFF and drawing.after_rms < CLOSED * drawing.before_rms
+    return drawing.off_zero_before >= FEWEST_BINS_OFF and drawing.after_rms < MOST_MEANS_LEFT * drawing.before_rms
 
 
-def pictured_by_replays(
+def draw_pictures_of_replays(
     causes: Sequence[Cause], applied: Sequence[Cause], records: Sequence[Record], channels: Sequence[Compared]
 ) -> tuple[Cause, ...]:
     """Return the causes; those of the augmented model without a picture get one from the residuals of replays.
@@ -180,7 +183,7 @@ def replayed_part(group: Sequence[tuple[Record, Compared]]) -> Part:
             values[name] = np.asarray(np.round(joined) if name == "direction" else joined, np.float64)
     # a channel without noise, as of a computed log, is known to the precision of its numbers
     digits = EPSILON * float(np.max(np.abs(np.concatenate([compared.measured for _, compared in group]))))
-    noise = max(float(np.sqrt(np.mean([compared.noise**2 for _, compared in group]))), digits, SQUARED)
+    noise = max(float(np.sqrt(np.mean([compared.noise**2 for _, compared in group]))), digits, LEAST_SQUARABLE)
     gain = float(np.sum(before**2 - after**2)) / noise**2
     channel = ResidualChannel(
         first_channel.quantity, first_channel.role, first_channel.mechanical, "replay", UNITS[first_channel.quantity]
@@ -188,7 +191,9 @@ def replayed_part(group: Sequence[tuple[Record, Compared]]) -> Part:
     return Part(channel, before, after, before - after, groups, values, float(len(np.unique(groups))), gain)
 
 
-def in_place(cause: Cause, hypothesis: Sequence[Candidate], alternatives: Sequence[Candidate]) -> tuple[Candidate, ...]:
+def set_for_cause(
+    cause: Cause, hypothesis: Sequence[Candidate], alternatives: Sequence[Candidate]
+) -> tuple[Candidate, ...]:
     """Return the set to fit for a cause: the hypothesis, with an indistinguishable effect replaced where needed."""
     if any(candidate[0] == cause.effect for candidate in hypothesis):
         return tuple(hypothesis)
@@ -203,7 +208,7 @@ def parts_of(evidence: Evidence, candidate: Candidate, before: Fit, after: Fit) 
     """Return a part for each equation and set-up that has a column of the effect."""
     touched: dict[tuple[str, str], list[int]] = {}
     for index, rows in enumerate(evidence.stack.rows):
-        if any(belongs(name, candidate) for name in rows.columns):
+        if any(is_column_of(name, candidate) for name in rows.columns):
             touched.setdefault((rows.equation, rows.mechanical), []).append(index)
     return [part_of(evidence, candidate, indices, before, after) for indices in touched.values()]
 
@@ -218,7 +223,9 @@ def part_of(evidence: Evidence, candidate: Candidate, indices: Sequence[int], be
     residual = [np.concatenate([residuals(stacked, fit, index) for index in indices]) for fit in (before, after)]
     effect = np.concatenate(
         [
-            np.sum([coefficients[name] * c for name, c in rows.columns.items() if belongs(name, candidate)], axis=0)
+            np.sum(
+                [coefficients[name] * c for name, c in rows.columns.items() if is_column_of(name, candidate)], axis=0
+            )
             for rows in rows_of_runs
         ]
     )
@@ -226,7 +233,7 @@ def part_of(evidence: Evidence, candidate: Candidate, indices: Sequence[int], be
     blocks = np.concatenate([rows.block for rows in rows_of_runs])
     runs = np.repeat(np.arange(len(rows_of_runs)), [len(rows.block) for rows in rows_of_runs])
     _, groups = np.unique(np.stack([runs, blocks]), axis=1, return_inverse=True)
-    acts = where_it_acts(effect, groups)
+    acts = acting_rows(effect, groups)
     values: dict[Variable, Array] = {}
     for variable, of_signals in VARIABLE_FUNCTIONS.items():
         series = [of_signals(rows.signals) for rows in rows_of_runs]
@@ -249,12 +256,12 @@ def part_of(evidence: Evidence, candidate: Candidate, indices: Sequence[int], be
     )
 
 
-def belongs(name: Sequence[str], candidate: Candidate) -> bool:
+def is_column_of(name: Sequence[str], candidate: Candidate) -> bool:
     """Return whether a column belongs to one form of an effect."""
     return name[0] == "effect" and (name[1], name[2]) == (candidate[0], repr(candidate[1]))
 
 
-def where_it_acts(effect: Array, groups: Groups) -> npt.NDArray[np.bool_]:
+def acting_rows(effect: Array, groups: Groups) -> npt.NDArray[np.bool_]:
     """Return the mask of the rows in the stretches that hold nearly all (`ACTS`) of the squares of an effect."""
     power = np.bincount(groups, weights=effect**2)
     order = np.argsort(-power, kind="stable")
@@ -314,7 +321,7 @@ def view_of(part: Part, variables: Sequence[Variable], periods: float) -> View |
         if variable == "angle" and repeats(values, periods, lambda angle: bins_over(part, angle)[2].explained):
             values, view_periods = turned(values, periods), periods
         edges, place, along = bins_over(part, values)
-        if len(edges) >= LEAST_EDGES:
+        if len(edges) >= FEWEST_EDGES:
             views.append(View(part, variable, view_periods, edges, place, along))
     return first_that_follows(views, lambda view: view.along.explained)
 
@@ -327,11 +334,11 @@ def bins_over(part: Part, values: Array) -> tuple[Array, Groups, Along]:
 
 
 def signs(part: Part) -> dict[str, Array]:
-    """Return the signs of a part's variables (`SIGNS`), zero where a variable is almost zero."""
+    """Return the signs of a part's variables (`SIGN_VARIABLES`), zero where a variable is almost zero."""
     by_variable: dict[str, Array] = {}
-    for name in SIGNS:
+    for name in SIGN_VARIABLES:
         if name in part.values:
             values = part.values[name]
-            moving = np.abs(values) > STILL * np.max(np.abs(values), initial=0.0)
+            moving = np.abs(values) > MOST_STILL_VALUE * np.max(np.abs(values), initial=0.0)
             by_variable[name] = np.where(moving, np.sign(values), 0.0)
     return by_variable

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
-FEWEST_PERIODS = 8.0  # periods within a run below which a frequency is a slow change
-QUARTERS = 4
-OVERSAMPLED = 8  # frequencies tried within the resolution of a run's length
+FEWEST_PERIODS = 8.0  # periods within a run; with fewer, a frequency is a slow change
+QUARTERS = 4  # parts of a run; a sine is fitted to every second one
+OVERSAMPLING = 8  # frequencies tried within the resolution of a run's length
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ def strongest_frequency(courses: Sequence[ResidualCourse]) -> float | None:
     Rows are put on one grid of times with zeros in the gaps, so that one transform per run gives all frequencies.
     """
     step, longest = max(course.step for course in courses), max(course.duration for course in courses)
-    points = int(OVERSAMPLED * longest / step) + 1
+    points = int(OVERSAMPLING * longest / step) + 1
     frequencies = np.fft.rfftfreq(points, step)
     power = np.zeros(len(frequencies))
     for course in courses:
@@ -61,7 +61,7 @@ def gains(course: ResidualCourse, frequency: float) -> Array:
     gained = np.zeros(len(course.left))
     if frequency * course.duration < FEWEST_PERIODS:
         return gained
-    frequencies = frequency + np.linspace(-1.0, 1.0, 2 * OVERSAMPLED + 1) / course.duration
+    frequencies = frequency + np.linspace(-1.0, 1.0, 2 * OVERSAMPLING + 1) / course.duration
     stretch_number = course.stretch - course.stretch[0]
     quarter = QUARTERS * stretch_number // (stretch_number[-1] + 1)
     for half in (0, 1):

@@ -9,7 +9,7 @@ from leactl.gap.search.regression import Candidate
 from leactl.gap.verdict.judge import Judged
 from leactl.gap.verdict.shrinkage import SquaresRatio
 
-FARTHER = 1.1  # ratio of squared gaps above which the farther effect is ruled out; the worst wrong preference was 1.05
+RULED_OUT_RATIO = 1.1  # ratio of squared gaps that rules out the farther effect; the worst wrong preference had 1.05
 Compare = Callable[[Sequence[Candidate], Sequence[Candidate]], SquaresRatio]
 """Squared gap of held-out runs with the second set of effects over that with the first."""
 
@@ -48,9 +48,9 @@ def nearest_of_classes(
             ratio = compare(nearest, with_rival)
             if ratio.worst_miss > REPLAY_MISS:
                 continue
-            if ratio.low > 1.0 and ratio.value > FARTHER:
+            if ratio.low > 1.0 and ratio.value > RULED_OUT_RATIO:
                 ruled_out.append(RuledOut(rival.effect, member[0], ratio.value))
-            elif ratio.high < 1.0 and ratio.value < 1.0 / FARTHER:
+            elif ratio.high < 1.0 and ratio.value < 1.0 / RULED_OUT_RATIO:
                 ruled_out.append(RuledOut(member[0], rival.effect, 1.0 / ratio.value))
                 nearest, member = with_rival, rival.candidate
     return nearest, ruled_out

@@ -20,12 +20,12 @@ from leactl.model.nominal import Model
 from leactl.quantities import UNITS
 
 Array = npt.NDArray[np.float64]
-NEAR_FLOOR = 1.1  # floors, below which no gap is left to close
-NEAR = math.log(NEAR_FLOOR)
-SAME = 1.001  # ratio of squared gaps of a channel up to which two models follow it alike
-FEWEST_BLOCKS = 8  # blocks of a channel below which resampling says little of an interval's ends
-TRACE_POINTS = 1500
-SLOW = 0.05  # s between samples from which a trace shows the whole run: thinned out, a faster channel would alias
+LEAST_GAP_FLOORS = 1.1  # floors; no smaller gap is left to close
+LEAST_LOG_GAP = math.log(LEAST_GAP_FLOORS)
+EQUAL_SQUARES_RATIO = 1.001  # ratio of squared gaps of a channel up to which two models follow it equally well
+FEWEST_BLOCKS = 8  # blocks of a channel; with fewer, resampling does not determine the ends of an interval
+TRACE_POINTS = 1500  # most points of a drawn trace
+SLOW_SAMPLING_S = 0.05  # s between samples from which a thinned-out trace shows the whole run; a faster one would alias
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class Growth:
     """Growth of the gap of all channels from one model to another; negative where the gap shrinks.
 
     Each value is the sum over channels of the logarithm of the gap's ratio, with the lower end of its 95 % interval. A
-    gap is counted in floors, at least `NEAR_FLOOR`.
+    gap is counted in floors, at least `LEAST_GAP_FLOORS`.
     """
 
     by_calibration: tuple[float, float]  # from the nominal model to the calibrated one
@@ -107,8 +107,8 @@ def shrinkage(
     InputError : an effect of a model lacks a parameter.
     """
     random = np.random.default_rng(seed)
-    jobs, channels = simulated_again(records, (nominal, calibrated, augmented), random, unexplained)
-    groups = grouped(channels)
+    jobs, channels = simulate_again(records, (nominal, calibrated, augmented), random, unexplained)
+    groups = group_channels(channels)
     return Shrunk(
         tuple(_shrunk(group, random) for group in groups),
         tuple(_trace(group) for group in groups),
@@ -118,7 +118,7 @@ def shrinkage(
     )
 
 
-def simulated_again(
+def simulate_again(
     records: Sequence[Record],
     models: tuple[Model, Model, Model],
     random: np.random.Generator,
@@ -157,7 +157,7 @@ def simulated_again(
     return jobs, channels
 
 
-def grouped(channels: Sequence[Compared]) -> list[list[Compared]]:
+def group_channels(channels: Sequence[Compared]) -> list[list[Compared]]:
     """Group compared channels by quantity, role and set-up."""
     groups: dict[tuple[str, str, str], list[Compared]] = {}
     for channel in channels:
@@ -168,25 +168,25 @@ def grouped(channels: Sequence[Compared]) -> list[list[Compared]]:
 def squares_ratio(channels: Sequence[Compared], random: np.random.Generator) -> SquaresRatio:
     """Return the ratio of squared gaps of the third to the second model, with an interval from resampled blocks.
 
-    The squares of all channels are added in units of their floors, each at least `NEAR_FLOOR` squared; a channel
+    The squares of all channels are added in units of their floors, each at least `LEAST_GAP_FLOORS` squared; a channel
     without a floor does not count. NaN where no channel counts, and where a channel on which the two models differ has
     fewer than `FEWEST_BLOCKS` blocks.
     """
     unknown = SquaresRatio(math.nan, math.nan, math.nan, math.nan)
     observed, resampled, differing = np.zeros(2), np.zeros((RESAMPLES, 2)), list[Array]()
-    for counts, sums in map(_blocks, grouped(channels)):
+    for counts, sums in map(_blocks, group_channels(channels)):
         floor = sums[:, 3].sum() / counts.sum()
         if floor <= 0.0:
             continue
         picked = random.integers(0, len(counts), (RESAMPLES, len(counts)))
         means = sums[picked].sum(axis=1) / counts[picked].sum(axis=1)[:, None]
-        squares = np.maximum(sums.sum(axis=0) / counts.sum() / floor, NEAR_FLOOR**2)[1:3]
-        if squares.max() > SAME * squares.min():
+        squares = np.maximum(sums.sum(axis=0) / counts.sum() / floor, LEAST_GAP_FLOORS**2)[1:3]
+        if squares.max() > EQUAL_SQUARES_RATIO * squares.min():
             if len(counts) < FEWEST_BLOCKS:
                 return unknown
             differing.append(squares)
         observed += squares
-        resampled += np.maximum(means / floor, NEAR_FLOOR**2)[:, 1:3]
+        resampled += np.maximum(means / floor, LEAST_GAP_FLOORS**2)[:, 1:3]
     if not observed.all():
         return unknown
     low, high = np.quantile(resampled[:, 1] / resampled[:, 0], (TAIL_PROBABILITY, 1.0 - TAIL_PROBABILITY))
@@ -201,18 +201,18 @@ def _growth(groups: Sequence[list[Compared]], random: np.random.Generator) -> Gr
     channels = [_blocks(group) for group in groups]
     for counts, sums in channels:
         picked = random.integers(0, len(counts), (RESAMPLES, len(counts)))
-        log_gaps += np.maximum(_log_gaps(sums.sum(axis=0)), NEAR)
-        resampled += np.maximum(_log_gaps(sums[picked].sum(axis=1)), NEAR)
+        log_gaps += np.maximum(_log_gaps(sums.sum(axis=0)), LEAST_LOG_GAP)
+        resampled += np.maximum(_log_gaps(sums[picked].sum(axis=1)), LEAST_LOG_GAP)
     nearer = 1 if log_gaps[1] < log_gaps[0] else 0
     pairs = ((0, 1), (nearer, 2))
     by_calibration, by_effects = (
         (float(log_gaps[b] - log_gaps[a]), float(np.quantile(resampled[:, b] - resampled[:, a], TAIL_PROBABILITY)))
         for a, b in pairs
     )
-    return Growth(by_calibration, by_effects, *closes(channels, random))
+    return Growth(by_calibration, by_effects, *closes_gap(channels, random))
 
 
-def closes(
+def closes_gap(
     channels: Sequence[tuple[Array, Array]], random: np.random.Generator
 ) -> tuple[bool, bool] | tuple[None, None]:
     """Return whether effects shrink the gap of some channel by either of two tests, and whether by both.
@@ -227,7 +227,7 @@ def closes(
     for counts, sums in with_blocks:
         observed, gaps = _log_gaps(sums.sum(axis=0)), _log_gaps(sums)
         nearer = int(np.argmin(observed[:2]))
-        if observed[nearer] > max(observed[2], NEAR):
+        if observed[nearer] > max(observed[2], LEAST_LOG_GAP):
             picked = random.integers(0, len(counts), (RESAMPLES, len(counts)))
             resampled = _log_gaps(sums[picked].sum(axis=1))
             by_block = (counts * (gaps[:, nearer] - gaps[:, 2]))[picked].sum(axis=1)
@@ -252,11 +252,11 @@ def _shrunk(group: list[Compared], random: np.random.Generator) -> Shrinkage:
     counts, sums = _blocks(group)
     nominal, calibrated, augmented, floor = (float(v) for v in np.sqrt(sums.sum(axis=0) / counts.sum()))
     closed = low = high = None
-    if calibrated > NEAR_FLOOR * floor:
+    if calibrated > LEAST_GAP_FLOORS * floor:
         closed = (calibrated - augmented) / (calibrated - floor)
         picked = random.integers(0, len(counts), (RESAMPLES, len(counts)))
         resampled = np.sqrt(sums[picked].sum(axis=1) / counts[picked].sum(axis=1)[:, None])
-        low, high = closed_between(resampled)
+        low, high = closed_interval(resampled)
     units = UNITS[channel.quantity]
     return Shrinkage(
         channel.quantity,
@@ -273,7 +273,7 @@ def _shrunk(group: list[Compared], random: np.random.Generator) -> Shrinkage:
     )
 
 
-def closed_between(resampled: Array) -> tuple[float, float] | tuple[None, None]:
+def closed_interval(resampled: Array) -> tuple[float, float] | tuple[None, None]:
     """Return the interval of the closed share of the gap; None where chance may leave no gap to close.
 
     resampled : (samples, 4), gaps of the three models and the floor.
@@ -319,7 +319,7 @@ def _trace(group: list[Compared]) -> Trace:
 def _trace_window(channel: Compared) -> slice:
     if len(channel.time) <= TRACE_POINTS:
         return slice(None)
-    if float(np.median(np.diff(channel.time))) >= SLOW:
+    if float(np.median(np.diff(channel.time))) >= SLOW_SAMPLING_S:
         return slice(None, None, -(-len(channel.time) // TRACE_POINTS))
     sums = np.concatenate([[0.0], np.cumsum(channel.squares(1))])
     start = int(np.argmax(sums[TRACE_POINTS:] - sums[:-TRACE_POINTS]))

@@ -32,11 +32,11 @@ STATE: tuple[Key, ...] = (
     ("angle", "q_axis_current"),
 )
 """Variables that a function may depend on, simple ones first."""
-KNOTS, PAIR_KNOTS = 10, 6
-FOLDS = 5
+KNOTS, PAIR_KNOTS = 10, 6  # knots of a function of one variable, and of each variable of a pair
+FOLDS = 5  # of the cross-validation
 RIDGES = (1e-4, 1e-3, 1e-2, 0.1)  # ridge penalties tried, relative to a column's power
-LEAST_GAIN = 0.02  # share of the gap that a further variable closes at least in cross-validation
-SURE = 0.975  # one-sided probability from which a gain on other runs is no chance
+LEAST_GAIN = 0.02  # share of the gap that a further variable closes in cross-validation
+LEAST_CERTAINTY = 0.975  # one-sided probability from which a gain on other runs is no chance
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +198,7 @@ def learn(sample: Sample, orders: Sequence[float], gap: float) -> tuple[Trial, l
     return trial, chosen, ridge
 
 
-def borne_out(trial: Trial, chosen: Sequence[Key], ridge: float, held_out: Sample) -> list[Key]:
+def confirmed_variables(trial: Trial, chosen: Sequence[Key], ridge: float, held_out: Sample) -> list[Key]:
     """Return the chosen variables without which the function is worse on held-out runs beyond chance."""
     confirmed = list(chosen)
     while confirmed:
@@ -212,7 +212,7 @@ def borne_out(trial: Trial, chosen: Sequence[Key], ridge: float, held_out: Sampl
                 (held_out.left - function_without.of(held_out)) ** 2 - squares_of_all, held_out.stretch
             )
         weakest = min(confirmed, key=lambda key: chances[key])
-        if chances[weakest] >= SURE:
+        if chances[weakest] >= LEAST_CERTAINTY:
             break
         confirmed.remove(weakest)
     return confirmed

@@ -19,23 +19,33 @@ from leactl.gap.search.effect_sets import ENTRY_HEIGHT, EffectSet, FurtherEffect
 from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
 from leactl.gap.signals.effect_variables import state_in
 from leactl.gap.signals.record import Record
-from leactl.gap.verdict.decision import NAMED
-from leactl.gap.verdict.judge import HALF, Channel, Judged, presence
+from leactl.gap.verdict.decision import NAMED_PROBABILITY
+from leactl.gap.verdict.judge import EVEN_HEIGHT, Channel, Judged, presence
 from leactl.gap.verdict.picture import Part, channel_of, picture_of, view_of
 from leactl.gap.verdict.residual_frequency import ResidualCourse, gains, strongest_frequency
-from leactl.gap.verdict.state_regression import SURE, Function, Groups, Sample, borne_out, certainty, learn, slow_gain
+from leactl.gap.verdict.state_regression import (
+    LEAST_CERTAINTY,
+    Function,
+    Groups,
+    Sample,
+    certainty,
+    confirmed_variables,
+    learn,
+    slow_gain,
+)
 from leactl.protocol import protocolfile, shipped
 from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import Variable
 
 Array = npt.NDArray[np.float64]
-STRETCHES = 24  # of a run
-FEWEST = 4  # rows in a stretch below which a run says nothing
-LOW_ORDERS, STRONG_ORDERS, HIGHEST = 6, 4, 250  # orders over the angle: the first, the strongest, the highest tried
-LEAST_CLOSED = 0.05  # closed share of the gap below which no dependence is reported
-VISIBLE = 1.0  # size over uncertainty and floor above which an effect is near at all
-NEAREST = 4  # most effects listed
-LEAST_SLOW = 0.2  # share of the gap that neighbouring stretches or one sine must explain for it to depend on time
+STRETCHES = 24  # stretches of a run
+FEWEST_ROWS_IN_STRETCH = 4  # rows per stretch; a run with fewer is left out
+LOW_ORDERS, STRONG_ORDERS = 6, 4  # orders over the angle: the first so many, and the strongest so many
+HIGHEST_ORDER = 250  # highest order over the angle that is tried
+LEAST_CLOSED_SHARE = 0.05  # closed share of the gap below which no dependence is reported
+LEAST_NEAR_HEIGHT = 1.0  # size over uncertainty and floor above which an effect is listed as near
+MOST_NEAREST = 4  # effects listed
+LEAST_SLOW_SHARE = 0.2  # share of the gap that neighbouring stretches or one sine explain if it depends on time
 
 
 def describe(
@@ -55,8 +65,8 @@ def describe(
     """
     held_out_evidence = evidence.on(held_out, hypothesis)
     fit = evidence.settle(hypothesis)
-    fitted_rows = of_channel(evidence.stack, channel)
-    held_out_rows = of_channel(held_out_evidence.stack, channel)
+    fitted_rows = row_groups_of(evidence.stack, channel)
+    held_out_rows = row_groups_of(held_out_evidence.stack, channel)
     if not fitted_rows or not held_out_rows:
         return None
     held_out_evidence.settle(hypothesis)
@@ -69,12 +79,12 @@ def describe(
         Sample(item.left, {name: item.state[name] for name in common}, item.stretch) for item in (fitted, judged)
     )
     orders = orders_of(evidence.stack, fit, fitted_rows)
-    trial, chosen, ridge = learn(fitted, orders, beyond_noise(evidence.stack, fitted_rows, fitted))
-    confirmed = borne_out(trial, chosen, ridge, judged)
+    trial, chosen, ridge = learn(fitted, orders, squares_beyond_noise(evidence.stack, fitted_rows, fitted))
+    confirmed = confirmed_variables(trial, chosen, ridge, judged)
     free = trial.function(confirmed, ridge)
-    gap = beyond_noise(held_out_evidence.stack, held_out_rows, judged)
+    gap = squares_beyond_noise(held_out_evidence.stack, held_out_rows, judged)
     closable, residual_after = closed_share(judged, free, trial.function([], ridge), gap)
-    variables = free.variables if closable is not None and closable >= LEAST_CLOSED else ()
+    variables = free.variables if closable is not None and closable >= LEAST_CLOSED_SHARE else ()
     residual = residual_after if variables else judged.left
     explained = free.of(fitted) if variables else 0.0
     slow_change = is_slow(residual, judged, gap)
@@ -82,13 +92,15 @@ def describe(
     tone = (
         None
         if slow_change
-        else tone_of(fitted_courses, courses(held_out_evidence.stack, held_out_rows, residual, judged.stretch), gap)
+        else common_frequency(
+            fitted_courses, courses(held_out_evidence.stack, held_out_rows, residual, judged.stretch), gap
+        )
     )
     depends_on = (*variables, "time") if slow_change or tone else variables
     rows = held_out_evidence.stack.rows[held_out_rows[0]]
     touching = {name[1] for index in fitted_rows for name in evidence.stack.rows[index].columns if name[0] == "effect"}
-    nearest_touching = tuple(item for item in nearest if item.effect in touching)[:NEAREST]
-    shapes = [shape(rows, judged, free, name) for name in variables if name in judged.state]
+    nearest_touching = tuple(item for item in nearest if item.effect in touching)[:MOST_NEAREST]
+    shapes = [shape_picture(rows, judged, free, name) for name in variables if name in judged.state]
     return Rest(
         depends_on,
         tone,
@@ -99,17 +111,17 @@ def describe(
         rows.equation,
         tuple(item for item in shapes if item is not None),
         nearest_touching,
-        deciding(depends_on, nearest_touching, touching),
+        deciding_protocol(depends_on, nearest_touching, touching),
     )
 
 
-def of_channel(stacked: Stack, channel: Channel | None) -> list[int]:
+def row_groups_of(stacked: Stack, channel: Channel | None) -> list[int]:
     """Return the indices of the row groups of a channel that have enough rows."""
     keys = [(rows.equation, rows.quantity, rows.mechanical) for rows in stacked.rows]
     return [
         index
         for index, key in enumerate(keys)
-        if key == channel and len(stacked.rows[index].index) >= FEWEST * STRETCHES
+        if key == channel and len(stacked.rows[index].index) >= FEWEST_ROWS_IN_STRETCH * STRETCHES
     ]
 
 
@@ -132,7 +144,7 @@ def sample_of(stacked: Stack, fit: Fit, indices: Sequence[int]) -> Sample:
     return Sample(residual, state, np.concatenate(stretch))
 
 
-def beyond_noise(stacked: Stack, indices: Sequence[int], sample: Sample) -> float:
+def squares_beyond_noise(stacked: Stack, indices: Sequence[int], sample: Sample) -> float:
     """Return the squares of a sample beyond the noise from row to row, at least zero."""
     white = sum(len(stacked.rows[index].left_over) * stacked.rows[index].white ** 2 for index in indices)
     return max(float(np.sum(sample.left**2)) - white, 0.0)
@@ -140,11 +152,11 @@ def beyond_noise(stacked: Stack, indices: Sequence[int], sample: Sample) -> floa
 
 def orders_of(stacked: Stack, fit: Fit, indices: Sequence[int]) -> list[float]:
     """Return the orders over the angle for a free function: the first few, and the strongest of a periodogram."""
-    power = np.zeros(HIGHEST + 1)
+    power = np.zeros(HIGHEST_ORDER + 1)
     for index in indices:
         rows = stacked.rows[index]
         if can_show_waves(rows, "drag") and rows.signals.velocity is not None:
-            power += periodogram(rows, residuals(stacked, fit, index), "drag", HIGHEST)
+            power += periodogram(rows, residuals(stacked, fit, index), "drag", HIGHEST_ORDER)
     strongest = [float(order) for order in np.argsort(-power)[:STRONG_ORDERS] if power[order] > 0.0]
     return sorted({float(order) for order in range(1, LOW_ORDERS + 1)} | set(strongest))
 
@@ -161,7 +173,7 @@ def closed_share(sample: Sample, free: Function, constant: Function, gap: float)
 def is_slow(residual: Array, sample: Sample, gap: float) -> bool:
     """Return whether a residual changes slowly with time: whether stretches are like their neighbours."""
     gained = slow_gain(residual, sample.stretch)
-    return float(gained.sum()) > LEAST_SLOW * gap > 0.0 and certainty(gained, sample.stretch) >= SURE
+    return float(gained.sum()) > LEAST_SLOW_SHARE * gap > 0.0 and certainty(gained, sample.stretch) >= LEAST_CERTAINTY
 
 
 def courses(stacked: Stack, indices: Sequence[int], residual: Array, stretch: Groups) -> list[ResidualCourse]:
@@ -174,18 +186,18 @@ def courses(stacked: Stack, indices: Sequence[int], residual: Array, stretch: Gr
     ]
 
 
-def tone_of(fitted: Sequence[ResidualCourse], held_out: Sequence[ResidualCourse], gap: float) -> float | None:
+def common_frequency(fitted: Sequence[ResidualCourse], held_out: Sequence[ResidualCourse], gap: float) -> float | None:
     """Return the frequency [Hz] at which the residual repeats in fitted and held-out runs; None where it does not."""
     frequency = strongest_frequency(fitted)
     if frequency is None:
         return None
     gained = np.concatenate([gains(course, frequency) for course in held_out])
     stretch = np.concatenate([course.stretch for course in held_out])
-    repeats = float(gained.sum()) > LEAST_SLOW * gap > 0.0 and certainty(gained, stretch) >= SURE
+    repeats = float(gained.sum()) > LEAST_SLOW_SHARE * gap > 0.0 and certainty(gained, stretch) >= LEAST_CERTAINTY
     return frequency if repeats else None
 
 
-def shape(rows: Rows, sample: Sample, free: Function, name: Variable) -> Picture | None:
+def shape_picture(rows: Rows, sample: Sample, free: Function, name: Variable) -> Picture | None:
     """Return the picture of the residual over one variable, before and after the whole function."""
     values = free.of(sample)
     independent = len(sample) / rows.dependence
@@ -199,7 +211,7 @@ def shape(rows: Rows, sample: Sample, free: Function, name: Variable) -> Picture
     return None if view is None else picture_of(view)
 
 
-def deciding(depends_on: Sequence[str], nearest: Sequence[Near], touching: Collection[str]) -> str | None:
+def deciding_protocol(depends_on: Sequence[str], nearest: Sequence[Near], touching: Collection[str]) -> str | None:
     """Return the name of the shipped protocol that separates most of the possible effects, the shortest of equals.
 
     Possible are the nearest effects, and effects on the channel that act over a variable the residual depends on.
@@ -221,28 +233,28 @@ def nearest_effects(result: EffectSet, judged: Sequence[Judged], refused: Sequen
     """Return the refused effects: first the withdrawn ones, then the improbable ones, then those not in the set."""
     near = {effect.effect: effect for effect in refused}
     for item in judged:
-        if item.probability < NAMED and item.finding.effect not in near:
-            near[item.finding.effect] = Near(item.finding.effect, doubt(item))
+        if item.probability < NAMED_PROBABILITY and item.finding.effect not in near:
+            near[item.finding.effect] = Near(item.finding.effect, reason_for_doubt(item))
     for further in sorted(result.rest, key=lambda effect: -effect.height):
-        if further.effect not in near and further.height > VISIBLE:
-            near[further.effect] = Near(further.effect, kept_out(further))
+        if further.effect not in near and further.height > LEAST_NEAR_HEIGHT:
+            near[further.effect] = Near(further.effect, reason_kept_out(further))
     return tuple(near.values())
 
 
-def doubt(item: Judged) -> str:
+def reason_for_doubt(item: Judged) -> str:
     """Return why an effect that was fitted is not named."""
     needed = library()[item.finding.effect].explains
     if item.explained < needed:
         shares = f"{100 * item.explained:.0f} % of the gap where it acts; a form of it explains {100 * needed:.0f} %"
         return f"the set explains {shares} or more"
-    if presence(item.finding.height) < NAMED:
-        return f"its size is {item.finding.height:.3g} times its uncertainty and floor; even odds need {HALF:g}"
+    if presence(item.finding.height) < NAMED_PROBABILITY:
+        return f"its size is {item.finding.height:.3g} times its uncertainty and floor; even odds need {EVEN_HEIGHT:g}"
     if item.rivals:
         return f"{item.rivals[0][0].effect} explains as much"
     return "held-out runs do not bear it out"
 
 
-def kept_out(item: FurtherEffect) -> str:
+def reason_kept_out(item: FurtherEffect) -> str:
     """Return why an effect did not enter the set."""
     if item.height <= ENTRY_HEIGHT:
         return f"its size is {item.height:.3g} times its uncertainty and floor; {ENTRY_HEIGHT:g} are needed"

@@ -27,15 +27,15 @@ from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import VARIABLES
 
 Array = npt.NDArray[np.float64]
-MOST = 0.8  # share of the squared residual that a region holds
-BINS = 12
-NARROW = 0.75  # share of the data above which a region says nothing
-NEAR_FLOOR = 1.1  # floors below which a channel has no gap
+REGION_SHARE = 0.8  # share of the squared residual that a region holds
+REGION_BINS = 12  # candidates for the ends of a region
+MOST_REGION_DATA = 0.75  # share of the data; a larger region is not reported
+LEAST_GAP_FLOORS = 1.1  # floors; a channel with less has no gap
 OTHER_UNITS = {"direction": "1", "frequency": "Hz", "time": "s", "time_since_reversal": "s"}
-PROFILES = 5  # number of first entries that get a profile
+MOST_PROFILES = 5  # first entries that get a profile
 PROFILE_BINS = 24
-FEWEST_IN_BIN = 8
-RARE = 0.002  # share of the data at either end that a profile leaves out
+FEWEST_IN_BIN = 8  # samples of a bin that is drawn
+OMITTED_SHARE = 0.002  # share of the data at either end that a profile leaves out
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +68,9 @@ def where(records: Sequence[Record], channels: Sequence[Compared], effects: Sequ
         nominal, calibrated = (rms([channel.squares(k) for channel in group]) for k in (0, 1))
         floor = practical_floor(group)
         region, share = None, 0.0
-        if calibrated > NEAR_FLOOR * floor:
+        if calibrated > LEAST_GAP_FLOORS * floor:
             pairs = [(by_name[channel.run], channel) for channel in group]
-            acting = effects if closes(group, floor) else ()
+            acting = effects if closes_most(group, floor) else ()
             region, share = region_of_effects(pairs, acting) or smallest_region(pairs)
         units = UNITS.get(quantity, "")
         lines.append(Where(quantity, role, mechanical, units, nominal, calibrated, floor, region, share))
@@ -81,8 +81,8 @@ def profiles(records: Sequence[Record], channels: Sequence[Compared], entries: S
     """Return the profiles of the first entries with a gap, over the variable of their region, else over time."""
     by_name = {record.name: record for record in records}
     curves = []
-    for entry in entries[:PROFILES]:
-        if entry.calibrated_rms <= NEAR_FLOOR * entry.floor_rms:
+    for entry in entries[:MOST_PROFILES]:
+        if entry.calibrated_rms <= LEAST_GAP_FLOORS * entry.floor_rms:
             continue
         key = (entry.quantity, entry.role, entry.mechanical)
         group = [channel for channel in channels if (channel.quantity, channel.role, channel.mechanical) == key]
@@ -96,12 +96,12 @@ def profiles(records: Sequence[Record], channels: Sequence[Compared], entries: S
                 series = np.round(series) if variable == "direction" else series
                 values.append(turned(series, 1.0) if entry.region and entry.region.within_turn else series)
                 residuals.append(channel.measured - np.stack(channel.replayed))
-        low, high, mean, std = binned(np.concatenate(values), np.concatenate(residuals, axis=1))
+        low, high, mean, std = bin_statistics(np.concatenate(values), np.concatenate(residuals, axis=1))
         curves.append(Profile(*key, entry.units, variable, units, low, high, mean, std))
     return tuple(curves)
 
 
-def binned(values: Array, residuals: Array) -> tuple[Array, Array, Array, Array]:
+def bin_statistics(values: Array, residuals: Array) -> tuple[Array, Array, Array, Array]:
     """Return lower and upper edges of even bins with enough samples, and mean and standard deviation of each row there.
 
     residuals : (models, samples).
@@ -111,7 +111,7 @@ def binned(values: Array, residuals: Array) -> tuple[Array, Array, Array, Array]
         half = 0.25 * float(np.min(np.diff(levels))) if len(levels) > 1 else 0.5
         low, high = levels - half, levels + half
     else:
-        lowest, highest = np.quantile(values, (RARE, 1.0 - RARE))
+        lowest, highest = np.quantile(values, (OMITTED_SHARE, 1.0 - OMITTED_SHARE))
         edges = np.linspace(lowest, highest, PROFILE_BINS + 1)
         low, high = edges[:-1], edges[1:]
     inside = [(values >= a) & (values <= b) for a, b in zip(low, high, strict=True)]
@@ -141,14 +141,14 @@ def rms(squares: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(list(squares)))))
 
 
-def closes(group: Sequence[Compared], floor: float) -> bool:
+def closes_most(group: Sequence[Compared], floor: float) -> bool:
     """Return whether the augmented model explains most of the calibrated model's squares beyond the floor."""
     calibrated, augmented = (rms([channel.squares(model) for channel in group]) ** 2 for model in (1, 2))
     return calibrated - augmented > 0.5 * (calibrated - floor**2)
 
 
 @dataclass(frozen=True, eq=False)
-class Over:
+class GapOverVariable:
     """Gap of a channel over a variable that an effect acts in."""
 
     quantity: str
@@ -168,7 +168,7 @@ def region_of_effects(
     wanted = [(quantity, periods_of(cause)) for cause in effects for quantity in regions_of(cause.effect)]
     views = [view for quantity, periods in wanted if (view := over_quantity(group, quantity, periods)) is not None]
     best = first_that_follows(views, lambda view: view.explained)
-    if best is None or (interval := narrowest(best.values, best.squares)) is None:
+    if best is None or (interval := narrowest_interval(best.values, best.squares)) is None:
         return None
     units = OTHER_UNITS.get(best.quantity, UNITS.get(best.quantity, ""))
     return Region(best.quantity, interval[0], interval[1], units, best.within_turn), interval[2]
@@ -180,7 +180,7 @@ def regions_of(effect: str) -> list[str]:
     return [quantity for quantity in quantities if quantity is not None]
 
 
-def over_quantity(group: Sequence[tuple[Record, Compared]], quantity: str, periods: float) -> Over | None:
+def over_quantity(group: Sequence[tuple[Record, Compared]], quantity: str, periods: float) -> GapOverVariable | None:
     """Return the gap of a channel over a quantity, folded within a turn if it repeats; None where no run has it."""
     values, parts, squares, signs, blocks = [], [], [], [], 0
     for record, channel in group:
@@ -204,7 +204,7 @@ def over_quantity(group: Sequence[tuple[Record, Compared]], quantity: str, perio
     within_turn = quantity == "angle" and repeats(series, periods, explained)
     shown_values = turned(series, 1.0) if within_turn else series
     folded_values = turned(series, periods) if within_turn else series
-    return Over(quantity, shown_values, within_turn, np.concatenate(squares), explained(folded_values))
+    return GapOverVariable(quantity, shown_values, within_turn, np.concatenate(squares), explained(folded_values))
 
 
 def smallest_region(group: Sequence[tuple[Record, Compared]]) -> tuple[Region | None, float]:
@@ -222,11 +222,11 @@ def smallest_region(group: Sequence[tuple[Record, Compared]]) -> tuple[Region | 
                 squares.append(channel.squares(1))
         if not values:
             continue
-        interval = narrowest(np.concatenate(values), np.concatenate(squares))
+        interval = narrowest_interval(np.concatenate(values), np.concatenate(squares))
         if interval is None:
             continue
         low, high, share, part = interval
-        if part < NARROW and (best is None or part < best[0]):
+        if part < MOST_REGION_DATA and (best is None or part < best[0]):
             units = OTHER_UNITS.get(variable, UNITS.get(variable, ""))
             best = (part, Region(variable, low, high, units), share)
     return (None, 0.0) if best is None else (best[1], best[2])
@@ -252,7 +252,7 @@ def variable_of(record: Record, channel: Compared, variable: str) -> Array | Non
     if variable in ("direction", "time_since_reversal"):
         if clock is None or (speed := speed_of(clock)) is None:
             return None
-        series = np.sign(speed) if variable == "direction" else since_reversal(speed, clock.interval)
+        series = np.sign(speed) if variable == "direction" else time_since_reversal(speed, clock.interval)
         return np.interp(channel.time, clock.since_begin, series)
     for source in (record.fast, record.slow):
         if source is not None and (values := source.get(variable)) is not None:
@@ -268,25 +268,25 @@ def speed_of(clock: Clocked) -> Array | None:
     return smooth(speeds(angle, clock.interval), 4.0) if angle is not None else None
 
 
-def since_reversal(speed: Array, interval: float) -> Array:
+def time_since_reversal(speed: Array, interval: float) -> Array:
     """Return the time [s] since the sign of the speed last changed."""
     return np.asarray((np.arange(len(speed)) - last_reversal(speed)) * interval, np.float64)
 
 
-def narrowest(values: Array, squares: Array) -> tuple[float, float, float, float] | None:
+def narrowest_interval(values: Array, squares: Array) -> tuple[float, float, float, float] | None:
     """Return low, high, share of squares and share of data of the shortest interval with most of the squares."""
     order = np.argsort(values, kind="stable")
     ordered = values[order]
     cumulative = np.concatenate([[0.0], np.cumsum(squares[order])])
     if cumulative[-1] <= 0.0 or ordered[0] == ordered[-1]:
         return None
-    cuts = np.linspace(0, len(order), BINS + 1).astype(np.intp)[:-1]
+    cuts = np.linspace(0, len(order), REGION_BINS + 1).astype(np.intp)[:-1]
     # a cut within a level, such as one direction, moves to the beginning of the level
     edges = np.append(np.unique(np.searchsorted(ordered, ordered[cuts])), len(order))
     best: tuple[int, int] | None = None
     for begin in range(len(edges) - 1):
         for end in range(begin + 1, len(edges)):
-            if cumulative[edges[end]] - cumulative[edges[begin]] >= MOST * cumulative[-1]:
+            if cumulative[edges[end]] - cumulative[edges[begin]] >= REGION_SHARE * cumulative[-1]:
                 if best is None or edges[end] - edges[begin] < best[1] - best[0]:
                     best = (int(edges[begin]), int(edges[end]))
                 break

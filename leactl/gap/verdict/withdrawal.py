@@ -9,13 +9,13 @@ from typing import NamedTuple
 from leactl.effects import library
 from leactl.gap.diagnosis import REPLAY_MISS, CalibratedParameter, Cause, Near
 from leactl.gap.search.parameters import is_at_bound, with_calibration, with_effects
-from leactl.gap.verdict.shrinkage import NEAR_FLOOR, Shrunk
+from leactl.gap.verdict.shrinkage import LEAST_GAP_FLOORS, Shrunk
 from leactl.model.nominal import Model
 
 GAP_GROWS = "with it the gap of held-out runs grows"
-GROWN = 1.001  # squared distances within this ratio count as equal: replays vary by as much
+MOST_EQUAL_RATIO = 1.001  # ratio of squared distances up to which they count as equal: replays vary by as much
 # a limit of the drive closes this share of the current's gap or more; laws that resemble it close less
-LIMIT_CLOSES = 0.9
+LEAST_LIMIT_SHARE = 0.9
 Simulate = Callable[[Model, Model], Shrunk]
 """Compares held-out runs with a calibrated and an augmented model."""
 
@@ -90,7 +90,7 @@ class HeldOutTrials:
     ) -> HeldOutTrial:
         model_after = with_fitted(self.model, fitted)
         comparison = self.simulate(model_before, model_after)
-        bounds = at_bounds(fitted.calibration) if self.bounded_fit else []
+        bounds = names_at_bound(fitted.calibration) if self.bounded_fit else []
         reason = refusal(comparison, bounds, beside_others, equations_bear_out)
         if not reason and limits_current:
             reason = refusal_of_limit(comparison)
@@ -174,14 +174,16 @@ def apply(
                     bounded_fit=bounded_fit, borne_out_by_equations=borne_out_by_equations,
                 )  # fmt: skip
                 tried = [(stage, apply_again(stages=all_but(stages, stage))) for stage in accepted]
-                dropped, nearest = min(tried, key=lambda pair: squares(pair[1].shrunk, "augmented_rms", NEAR_FLOOR))
+                dropped, nearest = min(
+                    tried, key=lambda pair: squares(pair[1].shrunk, "augmented_rms", LEAST_GAP_FLOORS)
+                )
                 return replace(
                     nearest,
                     notes=(*nearest.notes, notes[-1], refusal_note(dropped, GAP_GROWS)),
                     refused=(*nearest.refused, *(Near(cause.effect, GAP_GROWS) for cause in dropped)),
                 )
         return Applied(calibrated, augmented, fitted, shrunk, withdrawn, tuple(notes), refused)
-    parameters_at_bound = at_bounds(without_effects) if bounded_fit else []
+    parameters_at_bound = names_at_bound(without_effects) if bounded_fit else []
     if not parameters_at_bound:
         shrunk = simulate(calibrated, calibrated)
         if not calibration_worse(shrunk):
@@ -212,7 +214,7 @@ def calibration_worse(shrunk: Shrunk) -> bool:
 
     It need not be beyond chance: the given model stays where nothing is gained.
     """
-    nominal, calibrated = (squares(shrunk, name, NEAR_FLOOR) for name in ("nominal_rms", "calibrated_rms"))
+    nominal, calibrated = (squares(shrunk, name, LEAST_GAP_FLOORS) for name in ("nominal_rms", "calibrated_rms"))
     return shrunk.growth.by_calibration[0] > 0.0 or calibrated > nominal
 
 
@@ -222,7 +224,7 @@ def farther_with_effects(shrunk: Shrunk) -> bool:
     A distance that is not a number counts as farther.
     """
     nominal, calibrated, augmented = (
-        squares(shrunk, name, NEAR_FLOOR) for name in ("nominal_rms", "calibrated_rms", "augmented_rms")
+        squares(shrunk, name, LEAST_GAP_FLOORS) for name in ("nominal_rms", "calibrated_rms", "augmented_rms")
     )
     return math.isnan(augmented) or augmented > min(nominal, calibrated)
 
@@ -242,8 +244,8 @@ def refusal(shrunk: Shrunk, at_bound: Sequence[str], beside_others: bool, equati
     """
     if at_bound:
         return f"calibration beside it ends at a bound ({', '.join(at_bound)})"
-    gap_before, gap_after = (squares(shrunk, name, NEAR_FLOOR) for name in ("calibrated_rms", "augmented_rms"))
-    if shrunk.growth.effects_worse or math.isnan(gap_after) or gap_after > GROWN * gap_before:
+    gap_before, gap_after = (squares(shrunk, name, LEAST_GAP_FLOORS) for name in ("calibrated_rms", "augmented_rms"))
+    if shrunk.growth.effects_worse or math.isnan(gap_after) or gap_after > MOST_EQUAL_RATIO * gap_before:
         return GAP_GROWS
     squares_before, squares_after = squares(shrunk, "calibrated_rms"), squares(shrunk, "augmented_rms")
     equations_bear_out &= shrunk.growth.by_effects[0] <= 0.0 and squares_after <= squares_before
@@ -265,12 +267,12 @@ def refusal_of_limit(shrunk: Shrunk) -> str:
     for line in shrunk.shrinkage:
         if line.quantity != "q_axis_current" or line.closed is None or not line.floor_rms > 0.0:
             continue
-        if line.augmented_rms > REPLAY_MISS * line.floor_rms and line.closed < LIMIT_CLOSES:
+        if line.augmented_rms > REPLAY_MISS * line.floor_rms and line.closed < LEAST_LIMIT_SHARE:
             share = f"{100 * max(line.closed, 0.0):.1f} % of the current's gap, {line.mechanical}"
-            return f"it closes {share}; a limit of the drive closes {100 * LIMIT_CLOSES:.0f} % or more"
+            return f"it closes {share}; a limit of the drive closes {100 * LEAST_LIMIT_SHARE:.0f} % or more"
     return ""
 
 
-def at_bounds(parameters: Sequence[CalibratedParameter]) -> list[str]:
+def names_at_bound(parameters: Sequence[CalibratedParameter]) -> list[str]:
     """Return the names of the parameters whose fit went as far as it may."""
     return [item.parameter for item in parameters if is_at_bound(item)]
