@@ -143,15 +143,15 @@ def show_effects(
     as_json: bool = AS_JSON,
 ) -> None:
     """Explain what a model may lack: equation, where it shows, what it is confused with, what shows it; and faults."""
-    from leactl.gap.effect_sheet import explained
+    from leactl.gap.effect_sheet import effect_sheet
     from leactl.report.gap_listings import all_effects_text, effect_text
     from leactl.vocabulary.effect import effect_names
     from leactl.vocabulary.setup_fault import setup_faults
 
     if as_json:
         groups = {"effects": effect_names(), "setup_faults": tuple(setup_faults())}
-        explanations = {group: [explained(effect) for effect in names] for group, names in groups.items()}
-        typer.echo(json.dumps(explained(name) if name else explanations))
+        explanations = {group: [effect_sheet(effect) for effect in names] for group, names in groups.items()}
+        typer.echo(json.dumps(effect_sheet(name) if name else explanations))
         return
     typer.echo(effect_text(name) if name else all_effects_text())
 

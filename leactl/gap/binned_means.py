@@ -17,14 +17,14 @@ from leactl.gap.diagnosis import Cause
 Array = npt.NDArray[np.float64]
 Groups = npt.NDArray[np.intp]
 View = TypeVar("View")
-ORDER = "order"  # parameter that says how often an effect repeats in a turn
+ORDER_PARAMETER = "order"  # parameter that says how often an effect repeats in a turn
 MOST_BINS = 24  # bins that a drawing can show
 FEWEST_BINS = 12  # bins that show a wave
-FEWEST_IN_BIN = 8
-FOLLOWED = 0.5  # share of an effect's part that its variable must explain
-ACTS = 0.99  # share of an effect's power in the range that is drawn, before the range is widened on either side
-LEVELLED = 0.95  # two-sided confidence of a bin's mean
-ALIKE = 0.9  # share of what the best sign explains from which an earlier sign is preferred
+FEWEST_IN_BIN = 8  # samples; a bin with fewer has no mean
+LEAST_FOLLOWED_SHARE = 0.5  # share of an effect's part that a variable must explain for the effect to follow it
+DRAWN_POWER_SHARE = 0.99  # share of an effect's power in the range that is drawn, before the range is widened
+MEAN_CONFIDENCE = 0.95  # two-sided confidence of a bin's mean
+LEAST_SIGN_SHARE = 0.9  # share of what the best sign explains, from which an earlier sign is preferred
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,10 @@ def bin_edges(values: Array, part: Array, count: int) -> Array:
     ordered, power = values[order], np.cumsum(part[order] ** 2)
     total = float(power[-1])
     shares = power / total if total > 0.0 else np.arange(1, len(order) + 1) / len(order)
-    lowest, highest = (float(ordered[np.searchsorted(shares, q)]) for q in (0.5 * (1.0 - ACTS), 0.5 * (1.0 + ACTS)))
+    lowest, highest = (
+        float(ordered[np.searchsorted(shares, q)])
+        for q in (0.5 * (1.0 - DRAWN_POWER_SHARE), 0.5 * (1.0 + DRAWN_POWER_SHARE))
+    )
     inside = (ordered >= lowest - (highest - lowest)) & (ordered <= highest + (highest - lowest))
     drawn, weight = ordered[inside], np.diff(shares, prepend=0.0)[inside]
     mixed = np.cumsum(weight / max(float(weight.sum()), 1e-300) + 1.0 / len(drawn))
@@ -93,7 +96,7 @@ def bin_of(values: Array, edges: Array) -> Groups:
     return np.where((values < edges[0]) | (values > edges[-1]), -1, bins)
 
 
-def follows(part: Array, bins: Groups) -> float:
+def explained_share(part: Array, bins: Groups) -> float:
     """Return the share of an effect's power that its bin means explain; bins with few samples explain nothing."""
     inside = bins >= 0
     counts = np.bincount(bins[inside])
@@ -105,10 +108,10 @@ def follows(part: Array, bins: Groups) -> float:
 
 def best_sign(part: Array, bins: Groups, signs: Mapping[str, Array]) -> Along:
     """Return the sign along which most of an effect's part follows a variable; none where no sign does as well."""
-    fits = [Along("", follows(part, bins))]
-    fits += [Along(name, follows(part * sign, bins)) for name, sign in signs.items()]
+    fits = [Along("", explained_share(part, bins))]
+    fits += [Along(name, explained_share(part * sign, bins)) for name, sign in signs.items()]
     most = max(fit.explained for fit in fits)
-    return next(fit for fit in fits if fit.explained >= ALIKE * most)
+    return next(fit for fit in fits if fit.explained >= LEAST_SIGN_SHARE * most)
 
 
 def means(values: Array, bin_of_row: Groups, groups: Groups, bins: int) -> Means:
@@ -124,11 +127,11 @@ def means(values: Array, bin_of_row: Groups, groups: Groups, bins: int) -> Means
         sums = np.bincount(of_group, weights=values[inside] - mean[index])
         if len(sums) > 1:
             spread = np.sqrt(len(sums) / (len(sums) - 1) * float(sums @ sums)) / count
-            half[index] = spread * float(stats.t.ppf(0.5 * (1.0 + LEVELLED), len(sums) - 1))
+            half[index] = spread * float(stats.t.ppf(0.5 * (1.0 + MEAN_CONFIDENCE), len(sums) - 1))
     return Means(mean, mean - half, mean + half)
 
 
-def turned(angle: Array, periods: float) -> Array:
+def fold_angle(angle: Array, periods: float) -> Array:
     """Fold an angle into one period, of `periods` in a turn."""
     period = 2.0 * np.pi / periods
     return np.asarray(np.mod(angle, period), np.float64)
@@ -141,12 +144,12 @@ def repeats(angle: Array, periods: float, explained: Callable[[Array], float]) -
     """
     if np.ptp(angle) <= 2.0 * np.pi / periods:
         return False
-    return explained(turned(angle, periods)) >= ALIKE * explained(angle)
+    return explained(fold_angle(angle, periods)) >= LEAST_SIGN_SHARE * explained(angle)
 
 
 def periods_of(cause: Cause) -> float:
     """Return how often an effect repeats in a turn; 1 for an effect without an order."""
-    return next((item.value for item in cause.parameters if item.name == ORDER), 1.0)
+    return next((item.value for item in cause.parameters if item.name == ORDER_PARAMETER), 1.0)
 
 
 def last_reversal(speed: Array) -> Groups:
@@ -159,5 +162,5 @@ def last_reversal(speed: Array) -> Groups:
 
 def first_that_follows(views: Sequence[View], explained: Callable[[View], float]) -> View | None:
     """Return the first view that explains enough of an effect's part, else the one that explains most."""
-    enough = [view for view in views if explained(view) >= FOLLOWED]
+    enough = [view for view in views if explained(view) >= LEAST_FOLLOWED_SHARE]
     return next(iter(enough), None) or max(views, key=explained, default=None)

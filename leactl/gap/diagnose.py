@@ -10,7 +10,7 @@ import numpy as np
 from leactl.effects import library
 from leactl.errors import InputError
 from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, EffectParameter
-from leactl.gap.null import confirmed_beside_others, measure, set_floors, with_simulator_runs
+from leactl.gap.null import measure, set_floors, with_simulator_runs, without_imitated_members
 from leactl.gap.planning.separating import separating_experiment
 from leactl.gap.replay.long_runs import read_records
 from leactl.gap.search import effect_sets
@@ -58,11 +58,12 @@ from leactl.gap.verdict.withdrawal import Applied, FittedEffects, Refit, apply, 
 from leactl.model.nominal import BenchModel, Model, read_model
 from leactl.vocabulary.effect import effect_definition
 
-OUTWEIGHED = 0.2  # largest residual beyond noise, as a share of the squares a set explains, for its effects to be named
-CALIBRATED = 25.0  # weighted squares that the calibration must gain for the verdict to be calibration
-COURSE, ALIKE = 64, 0.95  # points of a voltage course; cosine above which two are the same (a ramp and a step: 0.87)
-STEPS = 2  # Gauss-Newton steps after the first: most effects multiply parameters that are calibrated
-RIG = ("drive_gain", "load_mass", "load_length", "load_arm_mass")  # set-up entries that tell kinds of run apart
+MOST_UNEXPLAINED_SHARE = 0.2  # residual beyond noise over the squares that a set explains; beyond it no effect is named
+LEAST_CALIBRATION_GAIN = 25.0  # weighted squares that calibration must gain for the verdict `calibration`
+COURSE_POINTS = 64  # points of a voltage course
+SAME_COURSE_COSINE = 0.95  # cosine above which two voltage courses are the same; a ramp and a step have 0.87
+FURTHER_STEPS = 2  # Gauss-Newton steps after the first: most effects multiply parameters that are calibrated
+RIG_ENTRIES = ("drive_gain", "load_mass", "load_length", "load_arm_mass")  # set-up entries that tell kinds of run apart
 Progress = Callable[[str], None]
 Channel = tuple[str, str, str]  # equation or quantity, quantity or role, and mechanical set-up
 
@@ -118,11 +119,11 @@ def read_case(runs: Sequence[Path], held_out: Sequence[Path], model: Path) -> Ca
         [record for path in paths for record in read[path]] for paths in (runs, held_out)
     )
     if not held_out_records:
-        fitted_records, held_out_records = split(fitted_records)
+        fitted_records, held_out_records = hold_out_runs(fitted_records)
     return Case(nominal, fitted_records, held_out_records)
 
 
-def split(records: list[Record]) -> tuple[list[Record], list[Record]]:
+def hold_out_runs(records: list[Record]) -> tuple[list[Record], list[Record]]:
     """Hold out the last run of every kind that occurs twice; if none does, hold out stretches of every run."""
     kinds: dict[object, list[Path]] = {}
     courses: list[Array] = []
@@ -130,8 +131,8 @@ def split(records: list[Record]) -> tuple[list[Record], list[Record]]:
     for record in records:
         first_stretches.setdefault(record.path, record)
     for path, record in first_stretches.items():
-        rig = tuple(record.setup.get(name) for name in RIG)
-        kinds.setdefault((record.kind, record.mechanical, rig, alike(record, courses)), []).append(path)
+        rig = tuple(record.setup.get(name) for name in RIG_ENTRIES)
+        kinds.setdefault((record.kind, record.mechanical, rig, course_index(record, courses)), []).append(path)
     held_out_paths = [runs[-1] for runs in kinds.values() if len(runs) > 1]
     if held_out_paths:
         return [r for r in records if r.path not in held_out_paths], [
@@ -141,7 +142,7 @@ def split(records: list[Record]) -> tuple[list[Record], list[Record]]:
     return list(fitted), list(held_out)
 
 
-def alike(record: Record, courses: list[Array]) -> int:
+def course_index(record: Record, courses: list[Array]) -> int:
     """Return the index of the known voltage course that a run follows up to scale, -1 for a run no voltage drives.
 
     A course that matches none of `courses` is appended to them. Logs of WPILib give all their tests the same name, and
@@ -151,9 +152,9 @@ def alike(record: Record, courses: list[Array]) -> int:
     volts = clock.get("q_axis_voltage") if clock is not None else None
     if clock is None or volts is None or any(clock.get(name) is not None for name in DRIVE_CHANNELS):
         return -1
-    course = np.interp(np.linspace(0.0, len(volts) - 1.0, COURSE), np.arange(len(volts)), volts)
+    course = np.interp(np.linspace(0.0, len(volts) - 1.0, COURSE_POINTS), np.arange(len(volts)), volts)
     course /= max(float(np.linalg.norm(course)), np.finfo(np.float64).tiny)
-    matches = [index for index, known_course in enumerate(courses) if float(course @ known_course) > ALIKE]
+    matches = [index for index, known_course in enumerate(courses) if float(course @ known_course) > SAME_COURSE_COSINE]
     courses += [] if matches else [course]
     return matches[0] if matches else len(courses) - 1
 
@@ -171,7 +172,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
     InputError : the runs hold nothing that any equation of the model can be checked with.
     """
     progress("looking for faults of the set-up")
-    faults, mended_case = without_faults(case)
+    faults, mended_case = mend_faults(case)
     answer = diagnose_mended(mended_case, faults, progress)
     uncertain_faults = [fault for fault in faults if fault.shrinks]
     if not uncertain_faults or answer.unexplained_probability < UNKNOWN_PROBABILITY:
@@ -194,7 +195,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
     return replace(partly_mended_answer, notes=(*not_named, *partly_mended_answer.notes))
 
 
-def without_faults(case: Case) -> tuple[list[SetUpFault], Case]:
+def mend_faults(case: Case) -> tuple[list[SetUpFault], Case]:
     """Return the faults of the set-up that the runs of a case show, and the case with mended runs."""
     faults, records = mended([*case.fitted, *case.held_out], case.model, len(case.held_out))
     return faults, case.of_records(records) if faults else case
@@ -240,26 +241,26 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         null = with_simulator_runs(null, case.simulated, case.model)
     set_floors(evidence, null)
     progress("searching effects")
-    searched = confirmed_beside_others(evidence, search(evidence))
+    searched = without_imitated_members(evidence, search(evidence))
     progress("trying them on held-out runs")
     servo_runs = servo_answer.judged_by_runs(case.model, case.fitted)
     gains, judged = judged_on_held_out(case, evidence, searched)
     set_notes: tuple[str, ...] = ()
     if any(item.peers for item in judged) and not servo_runs:
-        nearest, ruled_out = separated(case, evidence, searched, judged)
+        nearest, ruled_out = separate_classes(case, evidence, searched, judged)
         if nearest is not searched:
             searched = nearest
             gains, judged = judged_on_held_out(case, evidence, searched)
         judged = [without_ruled_out(item, ruled_out) for item in judged]
         set_notes = tuple(effect.note() for effect in ruled_out)
-    in_sound_noise = among_sound_noise(evidence, searched)
-    unrest_by_run, lines = left_over(evidence, in_sound_noise)
+    in_sound_noise = weighed_by_sound_noise(evidence, searched)
+    unrest_by_run, lines = unrest_and_lines(evidence, in_sound_noise)
     unrest_by_channel = unrest(unrest_by_run)
     surprise = unexplained_in_channels(unrest_by_channel, lines)
     causes = causes_of(evidence, searched, judged)
     calibrated_alone = calibrated_parameters(evidence, evidence.settle([]))
     members = {item.finding.effect for item in judged}
-    refit: Refit = partial(fitted_again, evidence, searched)
+    refit: Refit = partial(refit_causes, evidence, searched)
     if servo_runs:
         progress("fitting free runs of the servo")
         free_runs = runs_at_common_rate(case.fitted, case.model)
@@ -269,11 +270,11 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         causes = servo_answer.causes(fitted_sets, causes, free_runs, with_calibration(case.model, parameters))
         members |= {item.effect for item in fitted_sets.standing}
         calibrated_alone = calibrated_alone if fitted_sets.standing else parameters
-        refit = partial(fitted_by_sets, parameters)
+        refit = partial(with_servo_calibration, parameters)
         records_left_out = [record for record in case.fitted if record not in free_runs]
         set_notes = servo_answer.rig_note(fitted_sets, case.model.load.type == "pendulum", records_left_out)
     else:
-        doubts = doubted_by_residual(evidence, in_sound_noise, causes, surprise, (unrest_by_channel, lines))
+        doubts = doubts_by_residual(evidence, in_sound_noise, causes, surprise, (unrest_by_channel, lines))
         set_notes += tuple(f"not named: {name}; {reason}" for name, reason in doubts.items() if name in members)
         trust = 1.0 - surprise.probability
         causes = tuple(
@@ -298,20 +299,20 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         borne_out_by_equations={effect for (effect, _), tried in gains.items() if tried.least > 0.0 and not servo_runs},
     )
     shrunk = applied.shrunk
-    causes = borne_out(causes, applied)
+    causes = confirmed_causes(causes, applied)
     if servo_runs:
         surprise = unexplained_in_channels(servo_answer.unfollowed(shrunk.shrinkage, replayed), {})
     located = where(replayed, shrunk.channels, applied.fitted.causes)
     notes = condition_notes(case.fitted, case.held_out) + reading_notes([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
         notes += ("no kind of run occurs twice: held out are two sixteenths of each run",)
-    calibrates = not applied.first_calibration_withdrawn and gained(evidence, searched)
+    calibrates = not applied.first_calibration_withdrawn and calibration_gains(evidence, searched)
     names = {cause.effect for cause in applied.fitted.causes}
     applied_forms = [candidate for candidate in searched.hypothesis if candidate[0] in names]
     # what the withdrawn members explained is unexplained again
     if len(applied_forms) < len(searched.hypothesis) and not servo_runs:
-        rest_of_set = among_sound_noise(evidence, effect_sets.describe(evidence, list(applied_forms)))
-        unrest_by_run, lines = left_over(evidence, rest_of_set)
+        rest_of_set = weighed_by_sound_noise(evidence, effect_sets.describe(evidence, list(applied_forms)))
+        unrest_by_run, lines = unrest_and_lines(evidence, rest_of_set)
         surprise = max(
             surprise, unexplained_in_channels(unrest(unrest_by_run), lines), key=lambda sign: sign.probability
         )
@@ -369,7 +370,7 @@ def judged_on_held_out(
     return gains, judge(evidence, searched, {candidate: tried.gain for candidate, tried in gains.items()})
 
 
-def separated(
+def separate_classes(
     case: Case, evidence: Evidence, searched: EffectSet, judged: Sequence[Judged]
 ) -> tuple[EffectSet, list[RuledOut]]:
     """Return the set with the effect of each class that fits the held-out runs best, and the effects ruled out."""
@@ -399,25 +400,25 @@ def separated(
 
 def model_with(model: Model, evidence: Evidence, hypothesis: Sequence[Candidate]) -> Model:
     """Return the model with the effects of a set and its calibration, both fitted to the runs of `evidence`."""
-    parameters, calibration = fitted_to_the_end(evidence, hypothesis)
+    parameters, calibration = fit_with_further_steps(evidence, hypothesis)
     effects = [(effect, {item.name: item.value for item in values}) for effect, values in parameters.items()]
     return with_effects(with_calibration(model, calibration), effects)
 
 
-def among_sound_noise(evidence: Evidence, result: EffectSet) -> EffectSet:
+def weighed_by_sound_noise(evidence: Evidence, result: EffectSet) -> EffectSet:
     """Return a set whose squares taken and left are weighted by a sound machine's noise where that is lower."""
     squares_taken, squares_left = effect_sets.squares_taken_and_left(evidence, result.hypothesis, sound=True)
     return replace(result, taken=squares_taken, left=squares_left)
 
 
-def left_over(evidence: Evidence, result: EffectSet) -> tuple[RunRatios, dict[Channel, Line]]:
+def unrest_and_lines(evidence: Evidence, result: EffectSet) -> tuple[RunRatios, dict[Channel, Line]]:
     """Return the unrest of each channel by run under a set, and the lines in the spectra of its residuals."""
     searched_rows = [not is_left_by_form(result, index) for index in range(len(evidence.stack.rows))]
     lines = highest_lines(evidence, evidence.settle(result.hypothesis), searched_rows)
     return unrest_of_runs(evidence, result), lines
 
 
-def doubted_by_residual(
+def doubts_by_residual(
     evidence: Evidence,
     result: EffectSet,
     causes: Sequence[Cause],
@@ -429,7 +430,7 @@ def doubted_by_residual(
     signs : unrest and highest spectral line of each channel.
     """
     effects = [cause.effect for cause in causes]
-    if outweighed(evidence, result, *signs):
+    if is_outweighed(evidence, result, *signs):
         return dict.fromkeys(effects, "too much is left beside what it explains")
     if surprise.probability < UNKNOWN_PROBABILITY or surprise.channel is None or surprise.channel[0] != "current":
         return {}
@@ -438,7 +439,7 @@ def doubted_by_residual(
     return dict.fromkeys((effect for effect in effects if library()[effect].limits_current), reason)
 
 
-def outweighed(
+def is_outweighed(
     evidence: Evidence, result: EffectSet, unrest_by_channel: Mapping[Channel, float], lines: Mapping[Channel, Line]
 ) -> bool:
     """Return whether the unexplained residual is so large that what a set explains may be a part of it.
@@ -451,7 +452,7 @@ def outweighed(
         rows.equation
         for rows in evidence.stack.rows
         if rows.equation == "lock"
-        or (rows.kind == VOLTAGE_KIND and rows.equation == "velocity" and not touched(rows, result.hypothesis))
+        or (rows.kind == VOLTAGE_KIND and rows.equation == "velocity" and not holds_column_of(rows, result.hypothesis))
     }
     judged_unrest = {key: ratio for key, ratio in unrest_by_channel.items() if key[0] not in equations_ignored}
     judged_lines = {key: line for key, line in lines.items() if key[0] not in equations_ignored}
@@ -464,39 +465,39 @@ def outweighed(
         for amounts in (result.taken, result.left)
     )
     total = sum(member.gain for member in result.members) or 1.0
-    allowed_share = sum(may_leave(member.effect) * member.gain for member in result.members) / total
+    allowed_share = sum(allowed_residual_share(member.effect) * member.gain for member in result.members) / total
     return (
         unexplained_in_channels(judged_unrest, judged_lines).probability >= UNKNOWN_PROBABILITY
         and squares_left > allowed_share * squares_taken
     )
 
 
-def may_leave(effect: str) -> float:
+def allowed_residual_share(effect: str) -> float:
     """Return the residual an effect may leave, as a share of the squares it explains; more if its columns are loose."""
     explains = library()[effect].explains
-    return (1.0 - explains) / explains if explains < effect_sets.LOOSE_SHARE else OUTWEIGHED
+    return (1.0 - explains) / explains if explains < effect_sets.LOOSE_SHARE else MOST_UNEXPLAINED_SHARE
 
 
-def touched(rows: Rows, hypothesis: Sequence[Candidate]) -> bool:
+def holds_column_of(rows: Rows, hypothesis: Sequence[Candidate]) -> bool:
     """Return whether the rows hold a column of any effect of a set."""
     effect_forms = {(effect, repr(form)) for effect, form in hypothesis}
     return any(name[0] == "effect" and (name[1], name[2]) in effect_forms for name in rows.columns)
 
 
-def fitted_again(evidence: Evidence, result: EffectSet, causes: Sequence[Cause]) -> FittedEffects:
+def refit_causes(evidence: Evidence, result: EffectSet, causes: Sequence[Cause]) -> FittedEffects:
     """Fit the members of a set that some causes name, without the other members."""
     causes_by_effect = {cause.effect: cause for cause in causes}
     hypothesis = [candidate for candidate in result.hypothesis if candidate[0] in causes_by_effect]
-    parameters, calibration = fitted_to_the_end(evidence, hypothesis)
+    parameters, calibration = fit_with_further_steps(evidence, hypothesis)
     return FittedEffects(
         tuple(replace(causes_by_effect[name], parameters=values) for name, values in parameters.items()), calibration
     )
 
 
-def fitted_to_the_end(
+def fit_with_further_steps(
     evidence: Evidence, hypothesis: Sequence[Candidate]
 ) -> tuple[dict[str, tuple[EffectParameter, ...]], tuple[CalibratedParameter, ...]]:
-    """Return the parameters of each effect by name, and the calibration, after `STEPS` further Gauss-Newton steps.
+    """Return the parameters of each effect by name, and the calibration, after `FURTHER_STEPS` further Gauss-Newton steps.
 
     Each step rebuilds the columns from the calibrated parameters. With a camera that reads two thirds of a rise, heat
     flows are 4 % off after the first fit; with an inertia 15 % off, so is an eccentricity.
@@ -504,7 +505,7 @@ def fitted_to_the_end(
     fit = evidence.settle(hypothesis)
     parameters = calibrated_parameters(evidence, fit)
     nominal = {item.parameter: item.nominal for item in parameters}
-    for _ in range(STEPS):
+    for _ in range(FURTHER_STEPS):
         hypothesis = [next_linearisation(evidence, fit, candidate) for candidate in hypothesis]
         # the ambient's offset stays at the model's value: its prior is in kelvin around that
         ratios = [item for item in parameters if item.parameter != "ambient_offset"]
@@ -516,12 +517,12 @@ def fitted_to_the_end(
     return {candidate[0]: effect_parameters(evidence, fit, candidate) for candidate in hypothesis}, parameters
 
 
-def fitted_by_sets(calibration: tuple[CalibratedParameter, ...], causes: Sequence[Cause]) -> FittedEffects:
+def with_servo_calibration(calibration: tuple[CalibratedParameter, ...], causes: Sequence[Cause]) -> FittedEffects:
     """Return some causes with the calibration of a servo's free runs, which are fitted with all effects at once."""
     return FittedEffects(tuple(causes), calibration)
 
 
-def borne_out(causes: Sequence[Cause], applied: Applied) -> tuple[Cause, ...]:
+def confirmed_causes(causes: Sequence[Cause], applied: Applied) -> tuple[Cause, ...]:
     """Return the causes that held-out runs confirm, with applied parameters, and their alternatives.
 
     A cause below the probability to be named stays. An alternative stays if an effect that it resembles was applied.
@@ -558,7 +559,7 @@ def causes_of(evidence: Evidence, result: EffectSet, judged: Sequence[Judged]) -
             if probability < LISTED_PROBABILITY or rival.effect in causes:
                 continue
             other_members = [c for c in result.hypothesis if c != item.finding.candidate]
-            parameters = alone(evidence, other_members, rival.candidate)
+            parameters = parameters_beside(evidence, other_members, rival.candidate)
             joint_probability = item.probability if rival.effect in item.peers else probability
             peers = (
                 tuple(sorted({item.finding.effect, *item.peers} - {rival.effect}))
@@ -568,7 +569,7 @@ def causes_of(evidence: Evidence, result: EffectSet, judged: Sequence[Judged]) -
             family = effect_definition(rival.effect).family
             causes[rival.effect] = Cause(rival.effect, joint_probability, 0.0, parameters, peers, family=family)
     members = {item.finding.effect for item in judged}
-    readings = {item.finding.effect for item in judged if of_a_reading(evidence, item.finding.candidate)}
+    readings = {item.finding.effect for item in judged if acts_on_reading_alone(evidence, item.finding.candidate)}
     # causes equally probable to a hundredth rank by their share of the gap
     listed = [cause for cause in causes.values() if cause.probability >= LISTED_PROBABILITY]
     ranks = {
@@ -577,20 +578,20 @@ def causes_of(evidence: Evidence, result: EffectSet, judged: Sequence[Judged]) -
     return tuple(sorted(listed, key=lambda c: ranks[c.effect]))
 
 
-def of_a_reading(evidence: Evidence, candidate: Candidate) -> bool:
+def acts_on_reading_alone(evidence: Evidence, candidate: Candidate) -> bool:
     """Return whether an effect acts on the velocity that a controller estimates, and on no balance of the motor."""
     balances = [rows for rows in evidence.stack.rows if rows.kind == VOLTAGE_KIND and rows.equation != "velocity"]
-    return bool(balances) and not any(touched(rows, [candidate]) for rows in balances)
+    return bool(balances) and not any(holds_column_of(rows, [candidate]) for rows in balances)
 
 
-def alone(evidence: Evidence, others: list[Candidate], candidate: Candidate) -> tuple[EffectParameter, ...]:
+def parameters_beside(evidence: Evidence, others: list[Candidate], candidate: Candidate) -> tuple[EffectParameter, ...]:
     """Return the parameters of an effect fitted beside other effects."""
     fit: Fit = evidence.normal().fit([*others, candidate])
     return effect_parameters(evidence, fit, candidate)
 
 
-def gained(evidence: Evidence, result: EffectSet) -> bool:
-    """Return whether calibrating the nominal model lowers the misfit by more than `CALIBRATED`."""
+def calibration_gains(evidence: Evidence, result: EffectSet) -> bool:
+    """Return whether calibrating the nominal model lowers the misfit by more than `LEAST_CALIBRATION_GAIN`."""
     normal = evidence.normal()
     keep = np.asarray([k for k, n in enumerate(evidence.stack.names) if n[0] == "nuisance"], np.intp)
-    return normal.solve(keep).misfit - result.fit.misfit > CALIBRATED
+    return normal.solve(keep).misfit - result.fit.misfit > LEAST_CALIBRATION_GAIN

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 FORMAT, VERSION = "leactl-gap", 1
-REPLAY_MISS = 6.0  # floors, largest residual of a replay of the right model
+MOST_REPLAY_MISS = 6.0  # floors, largest residual of a replay of the right model
 Verdict = Literal["none", "calibration", "effect", "unknown"]
 Presence = Literal["alike", "differs", "absent", "not asked"]  # of an effect of a simulator, in the real runs
 

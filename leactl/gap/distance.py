@@ -14,8 +14,8 @@ from leactl.runfile.read.reader import Channel, Run
 from leactl.runfile.verify.integrity import refuse_altered
 
 Array = npt.NDArray[np.float64]
-FEWEST = 10  # samples in common
-LONGEST_LAG = 0.25  # of the common span
+FEWEST_COMMON_SAMPLES = 10  # samples that both runs need of a channel
+LONGEST_LAG_SHARE = 0.25  # longest lag that is tried, as a share of the common span
 
 
 @dataclass(frozen=True)
@@ -55,21 +55,21 @@ def compare_runs(first: Path, second: Path) -> list[Distance]:
         distances for key in common if (distances := distance(first_channels[key], second_channels[key])) is not None
     ]
     if not distances:
-        raise InputError(f"{second}: no channel in common with {first} for {FEWEST} samples or more")
+        raise InputError(f"{second}: no channel in common with {first} for {FEWEST_COMMON_SAMPLES} samples or more")
     return distances
 
 
 def distance(first: Channel, second: Channel) -> Distance | None:
     """Return the difference of two channels; None where they have too few common samples."""
     first_valid, valid = np.isfinite(first.values), np.isfinite(second.values)
-    if valid.sum() < FEWEST:
+    if valid.sum() < FEWEST_COMMON_SAMPLES:
         return None
     stamps = second.time[valid]
     inside = first_valid & (first.time >= stamps[0]) & (first.time <= stamps[-1])
     inside &= near_stamps(
         first.time, stamps, INTERPOLATION_REACH * max(bridging_interval(stamps), median_interval(first.time))
     )
-    if inside.sum() < FEWEST:
+    if inside.sum() < FEWEST_COMMON_SAMPLES:
         return None
     time, first_values = first.time[inside], first.values[inside]
     second_values = np.interp(time, stamps, second.values[valid])
@@ -100,7 +100,7 @@ def _likeness(time: Array, first: Array, second: Array) -> tuple[float | None, f
         np.interp(even_times, time, second_centred), np.interp(even_times, time, first_centred), method="fft"
     )
     lags = correlation_lags(len(even_times), len(even_times))
-    near = np.abs(lags) <= LONGEST_LAG * len(even_times)
+    near = np.abs(lags) <= LONGEST_LAG_SHARE * len(even_times)
     return float(np.sum(first_centred * second_centred)) / size, float(
         lags[near][np.argmax(correlations[near])] * interval
     )

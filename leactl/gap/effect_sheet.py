@@ -10,7 +10,7 @@ from leactl.vocabulary.setup_fault import setup_faults
 from leactl.vocabulary.variable import VARIABLES
 
 
-def explained(name: str) -> dict[str, Any]:
+def effect_sheet(name: str) -> dict[str, Any]:
     """Everything that is known of one effect, or of one fault of a set-up.
 
     Raises

@@ -55,17 +55,17 @@ from leactl.gap.signals.smoothing import BASE_WIDTH, smooth
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
-NULLS = 3  # number of sound machines
-ALIKE = 2.0  # standard errors of the mean over all machines above which they show a common size
+SOUND_MACHINES = 3  # number of simulated machines without an effect
+LEAST_COMMON_STDS = 2.0  # standard errors of the mean over all machines above which they show a common size
 TORQUE_CONSTANT = "torque_constant"
-FARTHEST_STAMP = 1.0  # samples; largest error of a stamp whose meaning the file does not give
+MOST_STAMP_ERROR = 1.0  # samples; largest error of a stamp whose meaning the file does not give
 SLOW_WIDTH = 8.0  # samples, smoothing of temperatures that drive a simulation
 
 
 def measure(
     records: Sequence[Record],
     model: Model,
-    machines: int = NULLS,
+    machines: int = SOUND_MACHINES,
     only: Sequence[Candidate] | None = None,
     seed: int = 0,
 ) -> Null:
@@ -82,7 +82,7 @@ def measure(
     machines_runs = sound_runs(records, [model] * machines, random)
     moved, held_parameters = unidentifiable_torque_constant(machines_runs, model)
     if held_parameters:
-        machines_runs = sound_runs(records, machines_off(model, TORQUE_CONSTANT, machines), random)
+        machines_runs = sound_runs(records, machines_with_spread(model, TORQUE_CONSTANT, machines), random)
     values = NullValues()
     for runs in machines_runs:
         values.add_machine(Evidence(runs, model, only, held_parameters))
@@ -210,7 +210,7 @@ class NullValues:
             {key: float(np.mean(values)) for key, values in self.left.items()},
             {key: float(np.mean(values)) for key, values in self.white.items()},
             {effect: np.sqrt(np.mean(np.square(sizes), axis=0)).tolist() for effect, sizes in self.sizes.items()},
-            {effect: shown_alike(self.fits.get(effect, ())) for effect in self.sizes},
+            {effect: common_sizes(self.fits.get(effect, ())) for effect in self.sizes},
             {effect: np.mean(errors, axis=0).tolist() for effect, errors in self.errors.items()},
             {channel: float(np.mean(heights)) for channel, heights in self.lines.items()},
             moved,
@@ -237,7 +237,7 @@ class NullValues:
         )
 
 
-def shown_alike(machines: Sequence[Sequence[FurtherEffect | None]]) -> list[float]:
+def common_sizes(machines: Sequence[Sequence[FurtherEffect | None]]) -> list[float]:
     """Return the size of an effect that all sound machines have in common, by form; empty for fewer than two machines.
 
     machines : for each machine, the effect fitted alone in each of its forms; None where its runs do not show the form.
@@ -254,12 +254,12 @@ def shown_alike(machines: Sequence[Sequence[FurtherEffect | None]]) -> list[floa
         mean = np.mean([item.directed for item in items], axis=0)
         noise = float(np.mean([item.directed_variance for item in items])) / len(items)
         square = float(mean @ mean)
-        return math.sqrt(square - noise) if square > ALIKE**2 * noise else 0.0
+        return math.sqrt(square - noise) if square > LEAST_COMMON_STDS**2 * noise else 0.0
 
     return [of_form(shown) for shown in zip(*machines, strict=True)] if len(machines) > 1 else []
 
 
-def confirmed_beside_others(evidence: Evidence, result: EffectSet, seed: int = 0) -> EffectSet:
+def without_imitated_members(evidence: Evidence, result: EffectSet, seed: int = 0) -> EffectSet:
     """Drop the members of a set that also show in a machine which has only the other members.
 
     The equations' error for a large effect (its course within a sample, where friction reverses) may look like a
@@ -298,7 +298,7 @@ def size_beside(
     return math.sqrt(max(refitted.size**2 - refitted.std**2, 0.0)) if refitted is not None else 0.0
 
 
-def machines_off(model: Model, parameter: str, count: int) -> list[Model]:
+def machines_with_spread(model: Model, parameter: str, count: int) -> list[Model]:
     """Return models whose parameter differs from the nominal one by its prior as a root mean square.
 
     The reciprocals are spread symmetrically around the nominal reciprocal, so that an error common to all machines
@@ -322,19 +322,23 @@ def sound_runs(records: Sequence[Record], machines: Sequence[Model], random: np.
     for machine in machines:
         plant = plant_of(machine)
         plant.give = float(random.choice(TRIED))  # a model file does not contain it
-        sets.append([Job(driven(record), plant, tracked=True) for record in records])
+        sets.append([Job(with_smooth_inputs(record), plant, tracked=True) for record in records])
     replay_all([job for jobs in sets for job in jobs])
     for jobs in sets:
-        logged(jobs, random)
+        delay_unknown_stamps(jobs, random)
     return [
-        [simulated for job, record in zip(jobs, records, strict=True) if (simulated := recorded(job, record, random))]
+        [
+            simulated
+            for job, record in zip(jobs, records, strict=True)
+            if (simulated := simulated_record(job, record, random))
+        ]
         for jobs in sets
     ]
 
 
-def logged(jobs: Sequence[Job], random: np.random.Generator) -> None:
+def delay_unknown_stamps(jobs: Sequence[Job], random: np.random.Generator) -> None:
     """Delay the channels of a machine's runs at random where the files do not say what a stamp means."""
-    current_late, reference_late, velocity_late = random.uniform(-FARTHEST_STAMP, FARTHEST_STAMP, 3)
+    current_late, reference_late, velocity_late = random.uniform(-MOST_STAMP_ERROR, MOST_STAMP_ERROR, 3)
     ramped_reference = bool(random.integers(2))  # whether a reference ramps to its next value
     for job in jobs:
         unstamped = job.record.fast.unstamped if job.record.fast is not None else set()
@@ -356,36 +360,36 @@ def logged(jobs: Sequence[Job], random: np.random.Generator) -> None:
             job.fast["velocity", "test"] = velocity(job)
 
 
-def driven(record: Record) -> Record:
+def with_smooth_inputs(record: Record) -> Record:
     """Return a run with smoothed inputs: rotors would creep under input noise, and the noise would count twice."""
     fast, slow = record.fast, record.slow
     if fast is not None:
         drives = "q_axis_current" if ("q_axis_current", "test") in fast.values else "q_axis_voltage"
-        fast = replace(fast, values=evened(fast.values, drives, BASE_WIDTH))
+        fast = replace(fast, values=with_smooth_channels(fast.values, drives, BASE_WIDTH))
     if slow is not None:
         fed = smooth(slow.fed, SLOW_WIDTH) if slow.fed is not None else None
-        slow = replace(slow, values=evened(slow.values, "_temperature", SLOW_WIDTH), fed=fed)
+        slow = replace(slow, values=with_smooth_channels(slow.values, "_temperature", SLOW_WIDTH), fed=fed)
     return replace(record, fast=fast, slow=slow)
 
 
-def evened(values: Mapping[Key, Array], ending: str, width: float) -> dict[Key, Array]:
+def with_smooth_channels(values: Mapping[Key, Array], ending: str, width: float) -> dict[Key, Array]:
     """Smooth the channels whose quantity ends with `ending`."""
     return {key: smooth(column, width) if key[0].endswith(ending) else column for key, column in values.items()}
 
 
-def recorded(job: Job, record: Record, random: np.random.Generator) -> Record | None:
+def simulated_record(job: Job, record: Record, random: np.random.Generator) -> Record | None:
     """Return a simulated run with channels, noise and rounding of the measured one; None if nothing was simulated."""
     if not job.fast and not job.slow:
         return None
     fast, slow = record.fast, record.slow
     if fast is not None:
-        fast = replace(fast, values=read_again(fast, fast_channels(job), random))
+        fast = replace(fast, values=channels_as_measured(fast, fast_channels(job), random))
     if slow is not None:
         fed = slow.fed
         if fed is not None and WINDING in job.slow and job.record.slow is not None and job.record.slow.fed is not None:
             simulated = job.record.slow.fed + job.slow[WINDING] - job.record.slow.values[WINDING]
             fed = with_noise(simulated, fed, random)
-        slow = replace(slow, values=read_again(slow, job.slow, random), fed=fed)
+        slow = replace(slow, values=channels_as_measured(slow, job.slow, random), fed=fed)
     return replace(record, fast=fast, slow=slow, notes=[])
 
 
@@ -399,13 +403,13 @@ def fast_channels(job: Job) -> dict[Key, Array]:
     if (load := values.get(("q_axis_current", "load"))) is not None:
         channels["q_axis_current", "load"] = load  # the replay takes it as measured
     if job.pull is not None:
-        for key, change in asked_for(job, job.pull).items():
+        for key, change in tracking_references(job, job.pull).items():
             if key in values:
                 channels[key] = values[key] + change
     return channels
 
 
-def asked_for(job: Job, pull: Array) -> dict[Key, Array]:
+def tracking_references(job: Job, pull: Array) -> dict[Key, Array]:
     """Return what is added to the measured references so that the drive makes the tracking torque `pull`."""
     constant = job.plant.model.torque_constant or 1.0
     total = (len(job.clock.time) - 1) * job.parts + 1
@@ -415,18 +419,18 @@ def asked_for(job: Job, pull: Array) -> dict[Key, Array]:
     if job.current is None:
         quantity = "torque_reference" if ("torque_reference", "test") in job.clock.values else "torque"
         return {(quantity, "test"): over_samples(0.5 * (pull[1:total] + pull[: total - 1]), job.parts)}
-    current = unled(followed_to(pull[: total : job.parts] / constant, job), job)
+    current = reference_before_lead(reference_reaching(pull[: total : job.parts] / constant, job), job)
     return {("q_axis_current_reference", "test"): current}
 
 
-def followed_to(ends: Array, job: Job) -> Array:
+def reference_reaching(ends: Array, job: Job) -> Array:
     """Return the reference with which a first-order current loop reaches the given currents at the interval ends."""
     bandwidth = job.plant.model.bench.current_loop_bandwidth
     decay = float(np.exp(-2.0 * np.pi * bandwidth * job.clock.interval)) if bandwidth else 0.0
     return (ends - decay * np.concatenate([ends[:1], ends[:-1]])) / (1.0 - decay)
 
 
-def unled(followed: Array, job: Job) -> Array:
+def reference_before_lead(followed: Array, job: Job) -> Array:
     """Return the reference that, after the drive's setpoint lead, equals the given one."""
     bench, interval = job.plant.model.bench, job.clock.interval
     if not bench.setpoint_lead or moved_by_a_servo(job.clock):
@@ -438,7 +442,9 @@ def unled(followed: Array, job: Job) -> Array:
     return np.asarray((followed + share * lead_state) / (1.0 + share), np.float64)
 
 
-def read_again(clock: Clocked, simulated: Mapping[Key, Array], random: np.random.Generator) -> dict[Key, Array]:
+def channels_as_measured(
+    clock: Clocked, simulated: Mapping[Key, Array], random: np.random.Generator
+) -> dict[Key, Array]:
     """Return the channels of a clock: simulated ones with the noise of the measured ones, the others unchanged."""
     references = {key for key in simulated if key[0].endswith("_reference")}
     return {
@@ -446,12 +452,12 @@ def read_again(clock: Clocked, simulated: Mapping[Key, Array], random: np.random
         if key not in simulated
         else np.where(np.isfinite(simulated[key]), simulated[key], values)
         if key in references
-        else as_measured(clock, key, simulated[key], random)
+        else channel_as_measured(clock, key, simulated[key], random)
         for key, values in clock.values.items()
     }
 
 
-def as_measured(clock: Clocked, key: Key, simulated: Array, random: np.random.Generator) -> Array:
+def channel_as_measured(clock: Clocked, key: Key, simulated: Array, random: np.random.Generator) -> Array:
     """Return a simulated channel with noise and rounding, added at the channel's own stamps where it has such."""
     values = clock.values[key]
     if key not in clock.between:

@@ -21,7 +21,7 @@ from leactl.model.nominal import Model
 from leactl.runfile.read.reader import Run
 
 Array = npt.NDArray[np.float64]
-FITTED = (
+FITTED_PARAMETERS = (
     "phase_resistance",
     "resistance_coefficient",
     "thermal.winding_ambient_resistance",
@@ -30,10 +30,10 @@ FITTED = (
     "thermal.winding_capacitance",
     "thermal.housing_capacitance",
 )
-DEVIATIONS = 3.0  # that a tolerance spans
-LEAST_TOLERANCE = 0.01  # for what a fit does not see, as gradients in the winding
-CAMERA_GAIN = 0.02  # of every rise that it shows; thermal cameras are sold with +-2 K or +-2 %
-INFORMED_BELOW = 0.5  # standard deviation over that of the prior; below, the runs determine a parameter
+TOLERANCE_STDS = 3.0  # standard deviations that a tolerance spans
+LEAST_TOLERANCE = 0.01  # relative, for errors that a fit does not see, such as gradients in the winding
+CAMERA_GAIN_ERROR = 0.02  # share of a rise; thermal cameras are sold with +-2 K or +-2 %
+MOST_INFORMED_RATIO = 0.5  # standard deviation over that of the prior; below, the runs determine a parameter
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class ThermalFit:
     notes: tuple[str, ...] = ()  # on the records
 
 
-def lacking(run: Run) -> list[str]:
+def missing_channels(run: Run) -> list[str]:
     """What a run lacks for a thermal network, by quantity; empty where it has everything."""
     air = run.has(AMBIENT, "bench") or run.has(AMBIENT)
     missing = [] if run.has("winding_temperature") else ["winding_temperature"]
@@ -69,7 +69,7 @@ def thermal_fit(runs: Sequence[Run], motor: Motor) -> ThermalFit:
     faults: list[str] = []
     records: list[Record] = []
     for run in runs:
-        if missing := lacking(run):
+        if missing := missing_channels(run):
             faults.append(f"{run.path}: has no {', no '.join(missing)}; a thermal network needs it")
             continue
         try:
@@ -88,18 +88,20 @@ def thermal_fit(runs: Sequence[Run], motor: Motor) -> ThermalFit:
         why = "; ".join(notes) or "they were seldom read at the same time"
         raise InputError(f"{files}: temperatures and heat never come together for long enough: {why}")
     fit = evidence.settle([])
-    fitted = {item.parameter: item for item in calibrated_parameters(evidence, fit) if item.parameter in FITTED}
-    names = [name for name in FITTED if name in fitted]
+    fitted = {
+        item.parameter: item for item in calibrated_parameters(evidence, fit) if item.parameter in FITTED_PARAMETERS
+    }
+    names = [name for name in FITTED_PARAMETERS if name in fitted]
     places = {evidence.stack.names[place]: index for index, place in enumerate(fit.columns)}
     rows = np.array([places["calibration", name] for name in names])
     covariance = fit.covariance[np.ix_(rows, rows)]
     spread = np.sqrt(np.diag(covariance))
     tolerances = {
-        name.removeprefix("thermal."): _rounded(DEVIATIONS * fitted[name].std / fitted[name].fitted)
+        name.removeprefix("thermal."): _rounded(TOLERANCE_STDS * fitted[name].std / fitted[name].fitted)
         for name in names
-        if fitted[name].std / fitted[name].fitted < INFORMED_BELOW * PRIORS[name]
+        if fitted[name].std / fitted[name].fitted < MOST_INFORMED_RATIO * PRIORS[name]
     }
-    tolerances["temperature_rise"] = CAMERA_GAIN
+    tolerances["temperature_rise"] = CAMERA_GAIN_ERROR
     correlation = covariance / np.outer(spread, spread)
     return ThermalFit(tuple(fitted[name] for name in names), correlation, tolerances, tuple(notes))
 

@@ -3,7 +3,7 @@
 import textwrap
 from typing import TYPE_CHECKING, Any
 
-from leactl.gap.effect_sheet import explained
+from leactl.gap.effect_sheet import effect_sheet
 from leactl.report.gap_words import enumerated
 from leactl.report.terminal import aligned, list_line
 from leactl.vocabulary.effect import effect_definition, effect_names
@@ -37,7 +37,7 @@ def effect_text(name: str) -> str:
     ------
     InputError : no such effect; the known ones are named.
     """
-    explanation = explained(name)
+    explanation = effect_sheet(name)
     keys = ("equation", "acts_over", "shown_on", "shows_in", "confused_with", "shown_by")
     texts = explanation | {
         key: " or ".join(explanation[key]) for key in ("acts_over", "shown_on") if key in explanation

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from leactl.gap.diagnosis import (
-    REPLAY_MISS,
+    MOST_REPLAY_MISS,
     CalibratedParameter,
     Cause,
     DiagnosisResult,
@@ -44,7 +44,7 @@ def verdict_sentence(answer: DiagnosisResult) -> str:
     """Return the verdict as one sentence that names the causes: faults of the set-up, then missing effects."""
     faults, lacking = claimed_faults(answer), claimed_effects(answer)
     farthest = next((line for line in largest_first(answer.shrinkage) if line.floor_rms > 0.0), None)
-    if answer.verdict in FAR_OFF and farthest and farthest.calibrated_rms > REPLAY_MISS * farthest.floor_rms:
+    if answer.verdict in FAR_OFF and farthest and farthest.calibrated_rms > MOST_REPLAY_MISS * farthest.floor_rms:
         floors = farthest.calibrated_rms / farthest.floor_rms
         return f"{FAR_OFF[answer.verdict]} {channel_label(farthest, answer.shrinkage)} stands {floors:.3g} floors off."
     if answer.verdict != "effect" or not faults:

@@ -9,7 +9,7 @@ from typing import Any
 from leactl.analysis.analyze import refuse_altered, refuse_repeated, remarks_on
 from leactl.analysis.quality.channel_plausibility import channel_doubts
 from leactl.errors import InputError
-from leactl.gap.thermal_fit import ThermalFit, lacking, thermal_fit
+from leactl.gap.thermal_fit import ThermalFit, missing_channels, thermal_fit
 from leactl.model.motor import Motor
 from leactl.runfile.catalog.summaries import run_files
 from leactl.runfile.read.reader import Run
@@ -60,7 +60,7 @@ def thermal_fits(paths: Sequence[Path], motor: Motor) -> tuple[list[ActuatorFit]
             except InputError as error:
                 (left_out if path in in_folders else faults).extend(error.faults)
                 continue
-            if missing := lacking(run):
+            if missing := missing_channels(run):
                 left_out.append(f"{path}: has no {', no '.join(missing)}; a thermal network needs it")
             else:
                 usable.append(run)

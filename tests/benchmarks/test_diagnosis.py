@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leactl.gap.diagnose import Case, diagnose, split
+from leactl.gap.diagnose import Case, diagnose, hold_out_runs
 from leactl.gap.signals.record import read_record
 from leactl.model.nominal import read_model
 
@@ -52,7 +52,7 @@ def test_time_grows_no_faster_than_samples(practice, figure):
     records = [read_record(path) for path in sorted(practice.glob("*.h5"))]
     took = {}
     for times in (1, 4, 16):
-        fitted, held_out = split([scaled(record, times) for record in records])
+        fitted, held_out = hold_out_runs([scaled(record, times) for record in records])
         began = time.perf_counter()
         diagnose(Case(model, fitted, held_out))
         samples = sum(

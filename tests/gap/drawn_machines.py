@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from leactl.gap.diagnose import Case, split
+from leactl.gap.diagnose import Case, hold_out_runs
 from leactl.gap.signals.record import read_record
 from leactl.joints.files import write_run
 from leactl.joints.machine import JointMachine, nominal_text
@@ -25,4 +25,4 @@ def write_cases(folder: Path, cases: Mapping[str, tuple[JointMachine, Sequence[J
 def case_of(folder: Path) -> Case:
     """Read the case of a folder; some of its runs are held out."""
     records = [read_record(path) for path in sorted(folder.glob("*.h5"))]
-    return Case(read_model(folder / "nominal.yaml")[0], *split(records))
+    return Case(read_model(folder / "nominal.yaml")[0], *hold_out_runs(records))

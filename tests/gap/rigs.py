@@ -8,7 +8,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 
-from leactl.gap.diagnose import Case, split
+from leactl.gap.diagnose import Case, hold_out_runs
 from leactl.gap.replay.long_runs import read_records
 from leactl.gap.signals.record import build_record
 from leactl.model.nominal import BenchModel, Model
@@ -59,7 +59,7 @@ def drawn_rig(seed, folder):
         else:
             records.append(build_record(path, str(kind), str(mechanical), spoilt, {}))
     records += [record for several in read_records(written, BenchModel()).values() for record in several]
-    fitted, held_out = split(records)
+    fitted, held_out = hold_out_runs(records)
     return Case(poor_model(joint, mechanical, random), fitted, held_out)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leactl.gap.diagnose import diagnose, read_case, split
+from leactl.gap.diagnose import diagnose, hold_out_runs, read_case
 from leactl.gap.equations import equations
 from leactl.gap.replay import replay
 from leactl.gap.search.parameters import with_calibration, with_effects
@@ -184,7 +184,7 @@ def test_ramps_and_steps_of_one_name_are_no_runs_of_a_kind(weighed):
         record.kind, kind = "sysid", record.kind
         assert kind in TESTS
     try:
-        fitted, held_out = split(list(weighed))
+        fitted, held_out = hold_out_runs(list(weighed))
     finally:
         for record, kind in zip(weighed, TESTS, strict=True):
             record.kind = kind

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leactl.gap.binned_means import best_sign, bin_edges, bin_of, first_that_follows, means, turned
+from leactl.gap.binned_means import best_sign, bin_edges, bin_of, first_that_follows, fold_angle, means
 
 RANDOM = np.random.default_rng(4)
 SPEED = RANDOM.uniform(-30.0, 30.0, 4000)
@@ -41,7 +41,7 @@ def test_bins_and_means_are_those_of_a_similar_machine(by, size):
 
 
 def test_what_turns_round_with_the_motion_is_counted_along_it():
-    angle = turned(RANDOM.uniform(-50.0, 50.0, 4000), 3.0)
+    angle = fold_angle(RANDOM.uniform(-50.0, 50.0, 4000), 3.0)
     wave, sign = np.sin(3.0 * angle), np.sign(SPEED)
     place = bin_of(angle, bin_edges(angle, wave, 12))
     assert angle.min() >= 0.0 and angle.max() <= 2.0 * np.pi / 3.0

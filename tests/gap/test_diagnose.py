@@ -10,7 +10,7 @@ import pytest
 from leactl.emulation.blind.make import make
 from leactl.emulation.plant.effects_outside_library import unlisted_effects
 from leactl.errors import InputError
-from leactl.gap.diagnose import Case, diagnose, read_case, split
+from leactl.gap.diagnose import Case, diagnose, hold_out_runs, read_case
 from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.ringing import highest_lines
 from leactl.gap.signals.record import build_record
@@ -188,7 +188,7 @@ def test_a_run_on_both_sides_is_refused(sound_bench):
 def test_kinds_that_occur_twice_are_held_out(sound_bench):
     folder = sound_bench
     records = read_case(sorted(folder.glob("*.h5")), [], model(folder))
-    fitted, held = split([*records.fitted, *records.held_out])
+    fitted, held = hold_out_runs([*records.fitted, *records.held_out])
     assert {r.kind for r in fitted} == {r.kind for r in held}
     assert isinstance(records, Case)
 
@@ -236,14 +236,14 @@ def test_where_no_kind_of_run_occurs_twice_stretches_are_held_out():
         channels = [channel("angle", np.arange(200) * 0.01), channel("q_axis_current", np.arange(200) * 0.02)]
         return build_record(Path(f"{name}.h5"), "spin", "free", channels, setup)
 
-    kept, taken = split([run("a", drive_gain=1.0), run("b", drive_gain=2.0)])
+    kept, taken = hold_out_runs([run("a", drive_gain=1.0), run("b", drive_gain=2.0)])
     assert [record.name for record in kept] == [record.name for record in taken] == ["a", "b"]
     for one, other in zip(kept, taken, strict=True):
         left, right = (record.fast.all_valid(("angle", "test")) for record in (one, other))
         assert np.all(left ^ right)
         assert right.sum() == 25
         assert np.count_nonzero(np.diff(right.astype(int)) == 1) == 2
-    assert [record.name for record in split([run("a", drive_gain=1.0), run("b", drive_gain=1.0)])[1]] == ["b"]
+    assert [record.name for record in hold_out_runs([run("a", drive_gain=1.0), run("b", drive_gain=1.0)])[1]] == ["b"]
 
 
 @pytest.mark.long

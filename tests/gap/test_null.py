@@ -13,7 +13,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.gap.diagnose import read_case
-from leactl.gap.null import ALIKE, NULLS, machines_off, measure, set_floors, shown_alike, sound_runs
+from leactl.gap.null import (
+    LEAST_COMMON_STDS,
+    SOUND_MACHINES,
+    common_sizes,
+    machines_with_spread,
+    measure,
+    set_floors,
+    sound_runs,
+)
 from leactl.gap.replay.cutting import TRACKED
 from leactl.gap.search.effect_regression import BIAS_DOUBT_SHARE, NEGLIGIBLE_SHARE, PRIORS, Evidence
 from leactl.gap.search.effect_sets import ENTRY_HEIGHT, FurtherEffect
@@ -83,18 +91,20 @@ def wave(cosine, sine, std=0.02):
 
 def test_what_all_sound_machines_show_alike_is_a_floor_and_what_noise_shows_is_none():
     alike = [[shown(0.058), shown(0.058)], [shown(0.061), shown(-0.061)], [shown(0.055), None]]
-    biased, unseen_in_one = shown_alike(alike)
+    biased, unseen_in_one = common_sizes(alike)
     assert biased == pytest.approx(np.sqrt(0.058**2 - 0.02**2 / 3.0))
     assert unseen_in_one == 0.0
-    assert shown_alike(alike[:1]) == []
-    assert shown_alike([[shown(0.02)], [shown(-0.03)], [shown(0.025)]]) == [0.0]
+    assert common_sizes(alike[:1]) == []
+    assert common_sizes([[shown(0.02)], [shown(-0.03)], [shown(0.025)]]) == [0.0]
     random = np.random.default_rng(7)
-    by_chance = shown_alike([[shown(size) for size in 0.02 * random.standard_normal(4000)] for _ in range(NULLS)])
-    assert np.mean(np.array(by_chance) > 0.0) == pytest.approx(math.erfc(ALIKE / math.sqrt(2.0)), abs=0.01)
-    waves = [[wave(*pair) for pair in 0.02 * random.standard_normal((4000, 2))] for _ in range(NULLS)]
-    assert np.mean(np.array(shown_alike(waves)) > 0.0) == pytest.approx(math.exp(-(ALIKE**2)), abs=0.01)
-    (same,) = shown_alike([[wave(0.05, -0.03)] for _ in range(NULLS)])
-    assert same == pytest.approx(math.sqrt(0.05**2 + 0.03**2 - 2.0 * 0.02**2 / NULLS))
+    by_chance = common_sizes(
+        [[shown(size) for size in 0.02 * random.standard_normal(4000)] for _ in range(SOUND_MACHINES)]
+    )
+    assert np.mean(np.array(by_chance) > 0.0) == pytest.approx(math.erfc(LEAST_COMMON_STDS / math.sqrt(2.0)), abs=0.01)
+    waves = [[wave(*pair) for pair in 0.02 * random.standard_normal((4000, 2))] for _ in range(SOUND_MACHINES)]
+    assert np.mean(np.array(common_sizes(waves)) > 0.0) == pytest.approx(math.exp(-(LEAST_COMMON_STDS**2)), abs=0.01)
+    (same,) = common_sizes([[wave(0.05, -0.03)] for _ in range(SOUND_MACHINES)])
+    assert same == pytest.approx(math.sqrt(0.05**2 + 0.03**2 - 2.0 * 0.02**2 / SOUND_MACHINES))
 
 
 def test_a_form_that_no_run_shows_has_the_floor_of_the_next_that_is_shown(case, null):
@@ -199,7 +209,7 @@ def test_a_simulated_run_has_the_channels_the_noise_and_the_rounding_of_the_meas
 @pytest.mark.parametrize("name", ["torque_constant", "bench.shaft_stiffness"])
 def test_machines_are_off_by_what_is_usual_and_together_not_at_all(name, count):
     nominal = model()
-    machines = machines_off(nominal, name, count)
+    machines = machines_with_spread(nominal, name, count)
     off = np.array([nominal_value(nominal, name) / nominal_value(machine, name) for machine in machines]) - 1.0
     assert np.sqrt(np.mean(off**2)) == pytest.approx(PRIORS[name])
     assert np.mean(off) == pytest.approx(0.0 if count > 1 else PRIORS[name], abs=1e-12)
@@ -299,7 +309,7 @@ def test_the_pages_have_the_numbers_of_the_code():
     assert f"must stand {ENTRY_HEIGHT} times above" in gap
     assert f"Nothing up to {MOST_STAMP_DELAY:.0f} samples is called a delay" in gap
     assert f"in its error, {STAMP_DELAY_STD:.2f} samples" in gap
-    assert {3: "Three"}[NULLS] + " sound machines are simulated" in gap
+    assert {3: "Three"}[SOUND_MACHINES] + " sound machines are simulated" in gap
     assert f"a time constant of {TRACKED:.0f} samples" in decision
     assert f"over stretches of {SEGMENT} samples" in decision
     assert {0.05: "a twentieth of the smallest size worth knowing"}[NEGLIGIBLE_SHARE] in gap

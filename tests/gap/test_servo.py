@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leactl.gap.diagnose import Case, diagnose, split
+from leactl.gap.diagnose import Case, diagnose, hold_out_runs
 from leactl.gap.servo.effect_sets import fit_effect_sets, standing_of
 from leactl.gap.servo.fit import FittedServo, fit
 from leactl.gap.servo.runs import servo_runs
@@ -63,7 +63,7 @@ def standing(*records, held_out=(), proposed=()):
 
 def diagnosed(records, **changes):
     """The whole diagnosis of runs that all occur once."""
-    return diagnose(Case(servo_model(**changes), *split(records)))
+    return diagnose(Case(servo_model(**changes), *hold_out_runs(records)))
 
 
 def named(answer):
@@ -80,7 +80,7 @@ def test_a_servo_is_diagnosed_whole(tmp_path):
     assert seen.after_rms < 0.5 * seen.before_rms
     angle = next(line for line in found.shrinkage if line.quantity == "angle")
     assert angle.augmented_rms < 0.2 * angle.calibrated_rms
-    again = diagnose(Case(found.extra["augmented"], *split(records)))
+    again = diagnose(Case(found.extra["augmented"], *hold_out_runs(records)))
     assert named(again) == []
     entries = [entry.effect for entry in again.extra["augmented"].effects]
     assert entries == ["load_dependent_friction"]

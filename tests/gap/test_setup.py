@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leactl.gap.diagnose import diagnose, without_faults
+from leactl.gap.diagnose import diagnose, mend_faults
 from leactl.gap.setup import (
     clock_faults,
     conventions,
@@ -192,7 +192,7 @@ def test_a_fault_is_not_named_where_an_effect_explains_the_runs_as_they_were_log
     runs = draw_runs(np.random.default_rng([seed, 1, index]), machine, ["position_spring"], "strong")
     write_cases(tmp_path, {"spring": (machine, runs)})
     sprung = case_of(tmp_path / "spring")
-    faults, _ = without_faults(sprung)
+    faults, _ = mend_faults(sprung)
     assert [fault.as_cause().effect for fault in faults] == ["channel_scale"]
     found = diagnose(sprung)
     assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["position_spring"]

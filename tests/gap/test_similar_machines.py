@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leactl.gap.diagnose import Case, diagnose, split
+from leactl.gap.diagnose import Case, diagnose, hold_out_runs
 from leactl.gap.signals.record import build_record
 from leactl.joints.make import make
 from leactl.model.nominal import Model, as_mapping, read_model
@@ -72,7 +72,7 @@ def case_of(folder: Path, size=(1.0, 1.0, 1.0), divide=1):
             channels = [thinned(one, divide) for one in scaled]
             records.append(build_record(path, str(run.attributes["protocol"]), run.mechanical, channels, {}))
     model, _ = read_model(folder / "nominal.yaml")
-    return Case(model_of_size(model, *size), *split(records))
+    return Case(model_of_size(model, *size), *hold_out_runs(records))
 
 
 def named(case):

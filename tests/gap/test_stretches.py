@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
-from leactl.gap.diagnose import diagnose, read_case, split
+from leactl.gap.diagnose import diagnose, hold_out_runs, read_case
 from leactl.gap.replay import long_runs
 from leactl.gap.replay.long_runs import STRETCHES, fair_share, read_records
 from leactl.model.nominal import BenchModel
@@ -81,9 +81,9 @@ def test_stretches_of_a_run_are_held_out_together(pair, monkeypatch):
     records = [
         one for several in read_records(sorted(pair.glob("night-*.h5")), BenchModel()).values() for one in several
     ]
-    fitted, held_out = split(records)
+    fitted, held_out = hold_out_runs(records)
     assert ({one.run for one in fitted}, {one.run for one in held_out}) == ({"night-1"}, {"night-2"})
-    parts = split(fitted)  # a run alone is parted: each of its stretches is
+    parts = hold_out_runs(fitted)  # a run alone is parted: each of its stretches is
     assert [one.name for one in parts[0]] == [one.name for one in parts[1]]
     assert all(one.fast.all_valid(("angle", "test")).any() for one in parts[1] if one.fast is not None)
 

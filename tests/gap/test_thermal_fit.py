@@ -6,7 +6,7 @@ from contextlib import ExitStack
 import pytest
 
 from leactl.errors import InputError
-from leactl.gap.thermal_fit import FITTED, thermal_fit
+from leactl.gap.thermal_fit import FITTED_PARAMETERS, thermal_fit
 from leactl.model.motor import load_motor
 from leactl.report.thermal_fits import thermal_fits
 from leactl.runfile.read.reader import Run
@@ -29,7 +29,7 @@ def bench(sound_cases, sound_bench):
 def test_the_network_comes_out_within_four_standard_errors(bench):
     runs, true = bench
     found = fit(runs)
-    assert [one.parameter for one in found.parameters] == list(FITTED)
+    assert [one.parameter for one in found.parameters] == list(FITTED_PARAMETERS)
     for one in found.parameters:
         assert abs(one.fitted - true[one.parameter]) < 4.0 * one.std
         assert one.std < 0.03 * one.fitted

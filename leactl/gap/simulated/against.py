@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from leactl.gap.diagnose import Case, Progress, diagnose_mended, read_case, split, without_faults
+from leactl.gap.diagnose import Case, Progress, diagnose_mended, hold_out_runs, mend_faults, read_case
 from leactl.gap.diagnosis import DiagnosisResult, SimulatedRun, SimulatorAnswer
 from leactl.gap.replay.long_runs import read_records
 from leactl.gap.setup import SetUpFault
@@ -51,7 +51,7 @@ def read_simulated_case(
     records = [replace(r, kind=kinds[real]) for path, real in real_of.items() for r in records_by_path[path]]
     unused = [str(path) for path in dict.fromkeys(simulated) if path not in real_of]
     notes = (f"simulated runs that belong to no real run: {', '.join(unused)}",) if unused else ()
-    return SimulatedCase(case, pairs, *split(records), notes)
+    return SimulatedCase(case, pairs, *hold_out_runs(records), notes)
 
 
 def diagnose_against(case: SimulatedCase, progress: Progress = lambda _: None) -> DiagnosisResult:
@@ -68,7 +68,7 @@ def diagnose_against(case: SimulatedCase, progress: Progress = lambda _: None) -
     nominal = nominal_of(case.fitted, case.held_out, case.real.model, _labelled("simulated runs: ", progress))
     progress = _labelled("real runs: ", progress)
     progress("looking for faults of the set-up")
-    faults, mended = without_faults(replace(case.real, model=nominal.plain))
+    faults, mended = mend_faults(replace(case.real, model=nominal.plain))
     known = {(fault.name, fault.key) for fault in nominal.faults}
     real_faults = [fault for fault in faults if (fault.name, fault.key) not in known]
     answer = _beyond(mended, nominal, (), real_faults, progress)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from leactl.errors import InputError
-from leactl.gap.diagnose import Case, Channel, Progress, diagnose_mended, without_faults
+from leactl.gap.diagnose import Case, Channel, Progress, diagnose_mended, mend_faults
 from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, SimulatorFloor
 from leactl.gap.search.effect_regression import PRIORS, Evidence
 from leactl.gap.search.parameters import (
@@ -79,7 +79,7 @@ def nominal_of(
     InputError : the runs cannot be checked with the model, or are those of another machine.
     """
     plain = model.model_copy(update={"effects": []})
-    faults, mended = without_faults(Case(plain, list(fitted), list(held_out)))
+    faults, mended = mend_faults(Case(plain, list(fitted), list(held_out)))
     by_free_runs = judged_by_runs(plain, mended.fitted)
     start = plain if by_free_runs else near_start(mended.fitted, plain)
     answer = diagnose_mended(replace(mended, model=start), faults, progress)

@@ -14,18 +14,18 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.gap.binned_means import (
-    ACTS,
-    FOLLOWED,
+    DRAWN_POWER_SHARE,
+    LEAST_FOLLOWED_SHARE,
     Along,
     best_sign,
     bin_count,
     bin_edges,
     bin_of,
     first_that_follows,
+    fold_angle,
     means,
     periods_of,
     repeats,
-    turned,
 )
 from leactl.gap.diagnosis import Cause, Picture, ResidualBin
 from leactl.gap.replay.comparison import Compared
@@ -262,10 +262,10 @@ def is_column_of(name: Sequence[str], candidate: Candidate) -> bool:
 
 
 def acting_rows(effect: Array, groups: Groups) -> npt.NDArray[np.bool_]:
-    """Return the mask of the rows in the stretches that hold nearly all (`ACTS`) of the squares of an effect."""
+    """Return the mask of the rows in the stretches that hold nearly all (`DRAWN_POWER_SHARE`) of the squares of an effect."""
     power = np.bincount(groups, weights=effect**2)
     order = np.argsort(-power, kind="stable")
-    needed = int(np.searchsorted(np.cumsum(power[order]), ACTS * float(power.sum()))) + 1
+    needed = int(np.searchsorted(np.cumsum(power[order]), DRAWN_POWER_SHARE * float(power.sum()))) + 1
     chosen = np.zeros(len(power), np.bool_)
     chosen[order[:needed]] = True
     return chosen[groups]
@@ -277,7 +277,7 @@ def picture(cause: Cause, parts: Sequence[Part]) -> Picture | None:
     views = [view for part in parts if (view := view_of(part, effect_definition(cause.effect).acts_over, periods))]
     if not views:
         return None
-    following = [view for view in views if view.along.explained >= FOLLOWED]
+    following = [view for view in views if view.along.explained >= LEAST_FOLLOWED_SHARE]
     return picture_of(max(following or views, key=lambda view: view.part.gain * view.along.explained))
 
 
@@ -319,7 +319,7 @@ def view_of(part: Part, variables: Sequence[Variable], periods: float) -> View |
             continue
         values, view_periods = part.values[variable], None
         if variable == "angle" and repeats(values, periods, lambda angle: bins_over(part, angle)[2].explained):
-            values, view_periods = turned(values, periods), periods
+            values, view_periods = fold_angle(values, periods), periods
         edges, place, along = bins_over(part, values)
         if len(edges) >= FEWEST_EDGES:
             views.append(View(part, variable, view_periods, edges, place, along))

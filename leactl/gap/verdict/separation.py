@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from leactl.gap.diagnosis import REPLAY_MISS
+from leactl.gap.diagnosis import MOST_REPLAY_MISS
 from leactl.gap.search.regression import Candidate
 from leactl.gap.verdict.judge import Judged
 from leactl.gap.verdict.shrinkage import SquaresRatio
@@ -36,7 +36,7 @@ def nearest_of_classes(
 
     Equations judge each instant separately and leave out what they cannot resolve; a replay has to follow the whole
     course. Neither of two effects is ruled out where the difference is unclear, or where even the better replay misses
-    a channel by more than `REPLAY_MISS`: another error there may favour either.
+    a channel by more than `MOST_REPLAY_MISS`: another error there may favour either.
     """
     nearest, ruled_out = list(hypothesis), list[RuledOut]()
     for item in judged:
@@ -46,7 +46,7 @@ def nearest_of_classes(
                 continue
             with_rival = [rival.candidate if candidate == member else candidate for candidate in nearest]
             ratio = compare(nearest, with_rival)
-            if ratio.worst_miss > REPLAY_MISS:
+            if ratio.worst_miss > MOST_REPLAY_MISS:
                 continue
             if ratio.low > 1.0 and ratio.value > RULED_OUT_RATIO:
                 ruled_out.append(RuledOut(rival.effect, member[0], ratio.value))

@@ -13,12 +13,12 @@ from leactl.gap.binned_means import (
     bin_edges,
     bin_of,
     first_that_follows,
+    fold_angle,
     last_reversal,
     periods_of,
     repeats,
-    turned,
 )
-from leactl.gap.diagnosis import REPLAY_MISS, Cause, Region, Where
+from leactl.gap.diagnosis import MOST_REPLAY_MISS, Cause, Region, Where
 from leactl.gap.replay.comparison import Compared
 from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.signals.smoothing import smooth, speeds
@@ -94,7 +94,7 @@ def profiles(records: Sequence[Record], channels: Sequence[Compared], entries: S
             if series is not None:
                 # interpolated signs are rounded back to -1, 0, 1
                 series = np.round(series) if variable == "direction" else series
-                values.append(turned(series, 1.0) if entry.region and entry.region.within_turn else series)
+                values.append(fold_angle(series, 1.0) if entry.region and entry.region.within_turn else series)
                 residuals.append(channel.measured - np.stack(channel.replayed))
         low, high, mean, std = bin_statistics(np.concatenate(values), np.concatenate(residuals, axis=1))
         curves.append(Profile(*key, entry.units, variable, units, low, high, mean, std))
@@ -131,7 +131,7 @@ def practical_floor(group: Sequence[Compared]) -> float:
     """
     floor = rms([channel.floor_squares() for channel in group])
     calibrated, augmented = (rms([channel.squares(model) for channel in group]) for model in (1, 2))
-    missed = min(max(floor, min(calibrated, augmented)), REPLAY_MISS * floor)
+    missed = min(max(floor, min(calibrated, augmented)), MOST_REPLAY_MISS * floor)
     beyond = floor**2 + calibrated**2 - missed**2
     return calibrated * floor / math.sqrt(beyond) if beyond > 0.0 else floor
 
@@ -202,8 +202,8 @@ def over_quantity(group: Sequence[tuple[Record, Compared]], quantity: str, perio
         return best_sign(part, bins, {"velocity": sign}).explained
 
     within_turn = quantity == "angle" and repeats(series, periods, explained)
-    shown_values = turned(series, 1.0) if within_turn else series
-    folded_values = turned(series, periods) if within_turn else series
+    shown_values = fold_angle(series, 1.0) if within_turn else series
+    folded_values = fold_angle(series, periods) if within_turn else series
     return GapOverVariable(quantity, shown_values, within_turn, np.concatenate(squares), explained(folded_values))
 
 

@@ -7,7 +7,7 @@ from functools import partial
 from typing import NamedTuple
 
 from leactl.effects import library
-from leactl.gap.diagnosis import REPLAY_MISS, CalibratedParameter, Cause, Near
+from leactl.gap.diagnosis import MOST_REPLAY_MISS, CalibratedParameter, Cause, Near
 from leactl.gap.search.parameters import is_at_bound, with_calibration, with_effects
 from leactl.gap.verdict.shrinkage import LEAST_GAP_FLOORS, Shrunk
 from leactl.model.nominal import Model
@@ -267,7 +267,7 @@ def refusal_of_limit(shrunk: Shrunk) -> str:
     for line in shrunk.shrinkage:
         if line.quantity != "q_axis_current" or line.closed is None or not line.floor_rms > 0.0:
             continue
-        if line.augmented_rms > REPLAY_MISS * line.floor_rms and line.closed < LEAST_LIMIT_SHARE:
+        if line.augmented_rms > MOST_REPLAY_MISS * line.floor_rms and line.closed < LEAST_LIMIT_SHARE:
             share = f"{100 * max(line.closed, 0.0):.1f} % of the current's gap, {line.mechanical}"
             return f"it closes {share}; a limit of the drive closes {100 * LEAST_LIMIT_SHARE:.0f} % or more"
     return ""
