@@ -19,9 +19,9 @@ from leactl.effects import library
 from leactl.effects.hysteresis_and_lags import delayed
 from leactl.gap.diagnosis import CalibratedParameter
 from leactl.gap.replay import replay_all
-from leactl.gap.replay.bearing import TRIED
+from leactl.gap.replay.bearing import TRIED_GIVES
 from leactl.gap.replay.bench_of_model import plant_of
-from leactl.gap.replay.drive import over_samples
+from leactl.gap.replay.drive import means_over_samples
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.readings import angle, current, velocity
 from leactl.gap.search.effect_regression import MOST_PRIOR_CHANGE, PINNED_PRIOR, PRIORS, Evidence, Null, bias_error
@@ -321,7 +321,7 @@ def sound_runs(records: Sequence[Record], machines: Sequence[Model], random: np.
     sets: list[list[Job]] = []
     for machine in machines:
         plant = plant_of(machine)
-        plant.give = float(random.choice(TRIED))  # a model file does not contain it
+        plant.give = float(random.choice(TRIED_GIVES))  # a model file does not contain it
         sets.append([Job(with_smooth_inputs(record), plant, tracked=True) for record in records])
     replay_all([job for jobs in sets for job in jobs])
     for jobs in sets:
@@ -414,11 +414,11 @@ def tracking_references(job: Job, pull: Array) -> dict[Key, Array]:
     constant = job.plant.model.torque_constant or 1.0
     total = (len(job.clock.time) - 1) * job.parts + 1
     if (supply := voltage_feed(job.record, job.plant.model)) is not None:
-        pull_at_samples = over_samples(0.5 * (pull[1:total] + pull[: total - 1]), job.parts)
+        pull_at_samples = means_over_samples(0.5 * (pull[1:total] + pull[: total - 1]), job.parts)
         return {("q_axis_voltage", "test"): pull_at_samples / supply.gain}
     if job.current is None:
         quantity = "torque_reference" if ("torque_reference", "test") in job.clock.values else "torque"
-        return {(quantity, "test"): over_samples(0.5 * (pull[1:total] + pull[: total - 1]), job.parts)}
+        return {(quantity, "test"): means_over_samples(0.5 * (pull[1:total] + pull[: total - 1]), job.parts)}
     current = reference_before_lead(reference_reaching(pull[: total : job.parts] / constant, job), job)
     return {("q_axis_current_reference", "test"): current}
 

@@ -9,7 +9,7 @@ import pytest
 from leactl.effects.plant import Moment
 from leactl.exchange.destinations import ACTS_ON, CURRENT
 from leactl.gap.replay.bench_of_model import plant_of
-from leactl.gap.replay.drive import answered
+from leactl.gap.replay.drive import response_over_steps
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition, effect_names
 from tests.exchange.robots import MOTOR, chain, leg
@@ -121,7 +121,7 @@ def test_the_torque_of_a_current_is_what_a_replay_makes_of_its_reference(joint, 
         over = becomes(over, STEP)
     for becomes_at in plant.command_at_speed:
         over = becomes_at(over, speeds)
-    _, flowing = answered(over, over[0], loop, STEP)
+    _, flowing = response_over_steps(over, over[0], loop, STEP)
     for becomes in plant.loop_answer:
         flowing = becomes(flowing, STEP)
     flowing = (flowing - plant.current_offset) / plant.current_gain

@@ -22,7 +22,7 @@ from leactl.gap.null import (
     set_floors,
     sound_runs,
 )
-from leactl.gap.replay.cutting import TRACKED
+from leactl.gap.replay.cutting import TRACKING_SAMPLES
 from leactl.gap.search.effect_regression import BIAS_DOUBT_SHARE, NEGLIGIBLE_SHARE, PRIORS, Evidence
 from leactl.gap.search.effect_sets import ENTRY_HEIGHT, FurtherEffect
 from leactl.gap.search.parameters import calibrated_parameters, nominal_value
@@ -310,7 +310,7 @@ def test_the_pages_have_the_numbers_of_the_code():
     assert f"Nothing up to {MOST_STAMP_DELAY:.0f} samples is called a delay" in gap
     assert f"in its error, {STAMP_DELAY_STD:.2f} samples" in gap
     assert {3: "Three"}[SOUND_MACHINES] + " sound machines are simulated" in gap
-    assert f"a time constant of {TRACKED:.0f} samples" in decision
+    assert f"a time constant of {TRACKING_SAMPLES:.0f} samples" in decision
     assert f"over stretches of {SEGMENT} samples" in decision
     assert {0.05: "a twentieth of the smallest size worth knowing"}[NEGLIGIBLE_SHARE] in gap
     assert {0.05: "A twentieth of the smallest size worth knowing"}[NEGLIGIBLE_SHARE] in decision

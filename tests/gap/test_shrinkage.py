@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.replay import Job, plant_of, replay, replay_all
-from leactl.gap.replay.bearing import TRIED, give_of
+from leactl.gap.replay.bearing import TRIED_GIVES, fitted_give
 from leactl.gap.replay.comparison import noise_of_residuals
 from leactl.gap.signals.record import read_record
 from leactl.gap.verdict.shrinkage import closed_interval, closes_gap, shrinkage
@@ -129,7 +129,7 @@ def test_the_answer_is_the_same_for_the_same_seed():
     assert first.shrinkage == second.shrinkage
 
 
-@pytest.mark.parametrize("give", TRIED)
+@pytest.mark.parametrize("give", TRIED_GIVES)
 def test_a_locked_torque_tells_how_far_a_bearing_gives(give):
     truth = model()
     plant = plant_of(truth)
@@ -140,7 +140,7 @@ def test_a_locked_torque_tells_how_far_a_bearing_gives(give):
     random = np.random.default_rng(1)
     torque = np.nan_to_num(job.fast["torque", "test"])
     run.fast.values["torque", "test"] = 1.1 * torque + 0.2 + TORQUE_NOISE * random.standard_normal(len(torque))
-    assert give_of([run], truth) == give
+    assert fitted_give([run], truth) == give
 
 
 def test_what_a_model_cannot_replay_is_said():

@@ -11,7 +11,7 @@ import pytest
 
 from leactl.gap.diagnose import diagnose, hold_out_runs, read_case
 from leactl.gap.replay import long_runs
-from leactl.gap.replay.long_runs import STRETCHES, fair_share, read_records
+from leactl.gap.replay.long_runs import MOST_STRETCHES, fair_share, read_records
 from leactl.model.nominal import BenchModel
 from leactl.runfile.hdf5 import text_heaps
 from tests.gap import nights
@@ -51,18 +51,18 @@ def test_a_run_within_its_share_is_read_whole(pair):
 
 
 def test_stretches_are_of_start_and_end_and_all_between_and_heat_of_every_sample(pair, monkeypatch):
-    monkeypatch.setattr(long_runs, "ROWS", 1 << 14)
-    monkeypatch.setattr(long_runs, "SLOW_ROWS", 1 << 10)
+    monkeypatch.setattr(long_runs, "MOST_ROWS", 1 << 14)
+    monkeypatch.setattr(long_runs, "MOST_SLOW_ROWS", 1 << 10)
     whole, *several = read_records([pair / "night-1.h5"], BenchModel())[pair / "night-1.h5"]
-    assert len(several) == STRETCHES
+    assert len(several) == MOST_STRETCHES
     assert sum(len(one.fast.time) for one in several) == 1 << 14
     begins = [float(one.fast.since_begin[0]) for one in several]
     assert begins[0] == 0.0
     assert several[-1].fast.time[-1] == ROWS / nights.RATE
-    assert all(0.0 < apart < 2.1 * ROWS / nights.RATE / STRETCHES for apart in np.diff(begins))
+    assert all(0.0 < apart < 2.1 * ROWS / nights.RATE / MOST_STRETCHES for apart in np.diff(begins))
     assert len({one.fast.fastest for one in several}) == 1
     assert {one.run for one in several} == {"night-1"}
-    assert len({one.name for one in several}) == STRETCHES
+    assert len({one.name for one in several}) == MOST_STRETCHES
     assert "16 stretches of 1.02 s of a run of 59.999 s are looked at (27 % of its rows)" in whole.notes[0]
     with h5py.File(pair / "night-1.h5") as file:
         current = file["streams/loop/q_axis_current"][:]
@@ -77,7 +77,7 @@ def test_stretches_are_of_start_and_end_and_all_between_and_heat_of_every_sample
 
 
 def test_stretches_of_a_run_are_held_out_together(pair, monkeypatch):
-    monkeypatch.setattr(long_runs, "ROWS", 1 << 14)
+    monkeypatch.setattr(long_runs, "MOST_ROWS", 1 << 14)
     records = [
         one for several in read_records(sorted(pair.glob("night-*.h5")), BenchModel()).values() for one in several
     ]
@@ -102,7 +102,7 @@ def test_a_clock_that_jumps_makes_no_rows_in_its_gap(pair, tmp_path):
 
 
 def test_stretches_whose_stamps_jitter_go_by_one_interval_and_say_so_once(pair, tmp_path, monkeypatch):
-    monkeypatch.setattr(long_runs, "ROWS", 1 << 14)
+    monkeypatch.setattr(long_runs, "MOST_ROWS", 1 << 14)
     path = tmp_path / "jitters.h5"
     path.write_bytes((pair / "night-1.h5").read_bytes())
     with h5py.File(path, "r+") as file:
@@ -123,7 +123,7 @@ def test_stretches_whose_stamps_jitter_go_by_one_interval_and_say_so_once(pair, 
 
 
 def test_an_effect_is_named_in_stretches_as_in_the_whole_run(pair, monkeypatch):
-    monkeypatch.setattr(long_runs, "ROWS", 1 << 16)
+    monkeypatch.setattr(long_runs, "MOST_ROWS", 1 << 16)
     found, causes = named(pair)
     assert causes == ["quadratic_drag"]
     assert found.causes[0].parameters[0].value == pytest.approx(nights.DRAG, rel=0.01)

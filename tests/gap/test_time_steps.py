@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leactl.gap.replay.long_runs import weight
-from leactl.gap.replay.time_steps import STEPS, samples, steps_in_sample
+from leactl.gap.replay.long_runs import rows_per_sample
+from leactl.gap.replay.time_steps import FEWEST_STEPS, samples, steps_in_sample
 from leactl.model.nominal import BenchModel
 
 BANDWIDTHS = ("current_loop_bandwidth", "velocity_filter_bandwidth", "torque_filter_bandwidth")
@@ -25,16 +25,16 @@ def test_a_bench_that_is_slower_all_over_is_cut_at_the_same_samples(bandwidths, 
     once, slower = bench(bandwidths), bench(bandwidths, time)
     assert steps_in_sample(once, interval) == pytest.approx(steps_in_sample(slower, interval * time), abs=1)
     assert samples(intervals, once, interval) == pytest.approx(samples(intervals, slower, interval * time), abs=1)
-    assert weight(interval, once) == pytest.approx(weight(interval * time, slower), rel=0.1, abs=0.2)
+    assert rows_per_sample(interval, once) == pytest.approx(rows_per_sample(interval * time, slower), rel=0.1, abs=0.2)
 
 
 @pytest.mark.parametrize("thinned", [1, 2, 4])
 def test_a_thinned_log_is_replayed_at_the_same_steps(thinned):
     fast = bench({"current_loop_bandwidth": 450.0, "velocity_filter_bandwidth": 250.0})
-    assert steps_in_sample(fast, thinned * 1e-3) == thinned * STEPS
+    assert steps_in_sample(fast, thinned * 1e-3) == thinned * FEWEST_STEPS
     assert thinned * samples(1000, fast, thinned * 1e-3) == 1000
 
 
 @given(st.floats(1e-5, 10.0))
 def test_a_bench_without_loops_goes_by_the_interval_of_its_log(interval):
-    assert (steps_in_sample(BenchModel(), interval), samples(250, BenchModel(), interval)) == (STEPS, 250)
+    assert (steps_in_sample(BenchModel(), interval), samples(250, BenchModel(), interval)) == (FEWEST_STEPS, 250)

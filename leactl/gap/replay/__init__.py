@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 
 from leactl.gap.replay.bench_of_model import plant_of
-from leactl.gap.replay.drive import follow
-from leactl.gap.replay.heat import warm
+from leactl.gap.replay.drive import compute_current
+from leactl.gap.replay.heat import replay_temperatures
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.mechanics import move
-from leactl.gap.replay.readings import read
+from leactl.gap.replay.readings import write_readings
 from leactl.gap.signals.record import Record
 from leactl.model.nominal import Model
 
@@ -30,8 +30,8 @@ def replay_all(jobs: Sequence[Job]) -> None:
     """Replay many runs and benches side by side."""
     moving = [job for job in jobs if job.record.fast is not None]
     for job in moving:
-        follow(job)
-    warm(jobs)
+        compute_current(job)
+    replay_temperatures(jobs)
     move(moving)
     for job in moving:
-        read(job)
+        write_readings(job)

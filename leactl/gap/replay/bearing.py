@@ -14,21 +14,21 @@ from leactl.gap.replay.job import Job
 from leactl.gap.signals.record import Record
 from leactl.model.nominal import Model
 
-TRIED = (5e-6, 1.5e-5, GIVE)  # rad
+TRIED_GIVES = (5e-6, 1.5e-5, GIVE)  # rad
 
 
-def give_of(records: Sequence[Record], model: Model) -> float:
+def fitted_give(records: Sequence[Record], model: Model) -> float:
     """Return the give [rad] that fits the torque of locked runs best; the usual one without a locked run."""
     locked = [record for record in records if record.mechanical == "locked" and record.fast is not None]
-    plants = [plant_of(model) for _ in TRIED]
-    for plant, give in zip(plants, TRIED, strict=True):
+    plants = [plant_of(model) for _ in TRIED_GIVES]
+    for plant, give in zip(plants, TRIED_GIVES, strict=True):
         plant.give = give
     jobs = [[Job(record, plant) for record in locked] for plant in plants]
     replay_all([job for jobs_of_plant in jobs for job in jobs_of_plant])
     squares = [
         [_torque_squares(job) for job in jobs_of_plant if ("torque", "test") in job.fast] for jobs_of_plant in jobs
     ]
-    return TRIED[int(np.argmin([sum(jobs_of_plant) for jobs_of_plant in squares]))] if all(squares) else GIVE
+    return TRIED_GIVES[int(np.argmin([sum(jobs_of_plant) for jobs_of_plant in squares]))] if all(squares) else GIVE
 
 
 def _torque_squares(job: Job) -> float:

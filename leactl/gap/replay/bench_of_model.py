@@ -14,7 +14,7 @@ def plant_of(model: Model) -> Plant:
     ------
     InputError : an effect lacks a parameter; one line each.
     """
-    if faults := [fault for entry in model.effects for fault in _lacking(model, entry)]:
+    if faults := [fault for entry in model.effects for fault in _missing_parameters(model, entry)]:
         raise InputError(faults)
     plant = bare(model)
     for entry in model.effects:
@@ -22,7 +22,7 @@ def plant_of(model: Model) -> Plant:
     return plant
 
 
-def _lacking(model: Model, entry: EffectEntry) -> list[str]:
+def _missing_parameters(model: Model, entry: EffectEntry) -> list[str]:
     missing = [
         name
         for name, definition in effect_definition(entry.effect).parameters.items()

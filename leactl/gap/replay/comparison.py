@@ -14,11 +14,11 @@ from leactl.gap.signals.record import Clocked, Key, Mask, Record
 from leactl.gap.signals.smoothing import smooth, speeds
 
 Array = npt.NDArray[np.float64]
-BLOCK_S = 1.0
-FEWEST_BLOCKS = 20  # of a slow clock, whose blocks are longer since its errors last
-LAG = 4  # samples between the values whose differences give the noise
-STRETCH = 500  # samples of one noise estimate
-RESOLUTION = float(np.finfo(np.float32).eps)  # of a channel's largest value, below which no log tells its noise
+BLOCK_S = 1.0  # s, block of the fast clock; resampling draws whole blocks
+FEWEST_BLOCKS = 20  # blocks of a slow clock: its blocks are longer, since its errors last
+NOISE_LAG = 4  # samples between the values whose differences give the noise
+NOISE_STRETCH = 500  # samples of one noise estimate
+RELATIVE_RESOLUTION = float(np.finfo(np.float32).eps)  # of a channel's largest value; smaller noise counts as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ def compare(record: Record, jobs: Sequence[Job], disturbed: Job) -> list[Compare
             continue
         answers = [getattr(job, name) for job in (*jobs, disturbed)]
         for key in answers[0]:
-            values = measured(clock, key)
+            values = measured_channel(clock, key)
             if values is not None and all(key in answer for answer in answers):
                 rows = [answer[key] for answer in answers]
                 moved = key[0] in ("velocity", "torque", "q_axis_voltage")
@@ -70,7 +70,7 @@ def compare(record: Record, jobs: Sequence[Job], disturbed: Job) -> list[Compare
     return compared
 
 
-def measured(clock: Clocked, key: Key) -> Array | None:
+def measured_channel(clock: Clocked, key: Key) -> Array | None:
     """Return a channel, or the speed from the angle where the run has no velocity."""
     if key == ("velocity", "test") and clock.get("velocity") is None:
         angle = clock.get("angle")
@@ -109,18 +109,18 @@ def _compared(
 
 def noise_of_residuals(values: Array, residuals: Sequence[Array]) -> float:
     """Return the noise of a channel from the residuals of its replays; zero where no log resolves it from none."""
-    noise = min(white(residual) for residual in residuals)
+    noise = min(fast_noise(residual) for residual in residuals)
     # the output of a filter dies away to nothing after a motion, in steps that are no noise
-    return noise if noise > RESOLUTION * float(np.max(np.abs(values))) else 0.0
+    return noise if noise > RELATIVE_RESOLUTION * float(np.max(np.abs(values))) else 0.0
 
 
-def white(values: Array) -> float:
+def fast_noise(values: Array) -> float:
     """Return the standard deviation of changes within a few samples, the median over stretches.
 
     Filters of a channel reach no further than these samples; a model's error in some stretches is no noise.
     """
-    steps = np.abs(values[LAG:] - values[:-LAG])
+    steps = np.abs(values[NOISE_LAG:] - values[:-NOISE_LAG])
     if len(steps) == 0:
         return 0.0
-    parts = np.array_split(steps, max(1, len(steps) // STRETCH))
+    parts = np.array_split(steps, max(1, len(steps) // NOISE_STRETCH))
     return float(np.median([np.median(part) for part in parts]) / (0.6745 * np.sqrt(2.0)))

@@ -8,21 +8,21 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 from leactl.effects.plant import Array, Plant
-from leactl.gap.replay.drive import measured, spread
-from leactl.gap.replay.initial_state import reach
+from leactl.gap.replay.drive import interpolate_steps, measured_over_steps
+from leactl.gap.replay.initial_state import half_window
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.lanes import SHAFT_DAMPING, Lanes, Servo, Tracking
 from leactl.gap.signals.rig import load_of, voltage_feed
 from leactl.gap.signals.smoothing import smooth
 from leactl.gap.signals.stamps import restamped
 
-BALANCE = {"free": "free_torque", "coupled": "coupled_torque"}  # equation that determines the current's stamps
-RESTART_S = 1.0
-TRACKED = 20.0  # samples, time constant with which a tracked rotor is kept near its motion
-FORGOTTEN = 12.0  # fewest of these time constants in a stretch: the influence of its start is gone at its end
-LOCKED_STRETCH_S = 0.25
-TOOTH = 0.3  # rad, phase of the resonance of meshing teeth in a step: as rigid as steps can resolve
-TOOTH_DAMPING = 0.5 / TOOTH  # of critical: one step removes all of the speed with which teeth meet
+BALANCE_EQUATIONS = {"free": "free_torque", "coupled": "coupled_torque"}  # by set-up: determines the current's stamps
+RESTART_S = 1.0  # s, stretch of a turning rotor: its angle is an integral and would drift
+TRACKING_SAMPLES = 20.0  # samples, time constant with which a tracked rotor is kept near its motion
+FEWEST_TRACKING_TIMES = 12.0  # of these time constants in a stretch: at its end its start has no influence
+LOCKED_STRETCH_S = 0.25  # s, stretch of a locked rotor
+TOOTH_PHASE = 0.3  # rad, phase of the resonance of meshing teeth in a step: as rigid as steps can resolve
+TOOTH_DAMPING = 0.5 / TOOTH_PHASE  # damping ratio with which one step removes all of the speed with which teeth meet
 Index = npt.NDArray[np.intp]
 
 
@@ -47,7 +47,7 @@ class CutJob:
 
     def take_length(self, length: int) -> None:
         """Cut the job into stretches of `length` samples, up to its end."""
-        self.length, self.count = length, stretches(self.job, self.first, length)
+        self.length, self.count = length, stretch_count(self.job, self.first, length)
 
     def cut(self, values: Array, lanes: Index) -> Array:
         """Return values at the instants of some stretches, (steps, lanes), held constant beyond the run's end."""
@@ -68,7 +68,7 @@ class CutJob:
         setattr(self.job, name, column)
 
 
-def cut_of(job: Job, kind: str) -> CutJob:
+def cut_job(job: Job, kind: str) -> CutJob:
     """Cut a job into stretches and compute its inputs."""
     clock, plant, parts = job.clock, job.plant, job.parts
     samples = len(clock.time)
@@ -76,36 +76,36 @@ def cut_of(job: Job, kind: str) -> CutJob:
     magnets = np.ones(samples)
     for share_of in plant.magnet_share:
         magnets = magnets * share_of(course)
-    drive = asked_angle(job) if kind == "servo" else drive_torque(job, magnets)
+    drive = angle_set_point(job) if kind == "servo" else drive_torque(job, magnets)
     share = None
     if plant.friction_share:
         share = np.ones(samples)
         for share_of_friction in plant.friction_share:
             share = share * share_of_friction(course)
-        share = spread(share, parts)
+        share = interpolate_steps(share, parts)
     load_drive = None
     if job.record.mechanical == "coupled":
-        load_current = measured(job, "load")
+        load_current = measured_over_steps(job, "load")
         assert load_current is not None
         load_drive = (plant.model.torque_constant or 0.0) * load_current[0]
-    begin = 0 if kind == "locked" else reach(job)
-    tracked_s = max(RESTART_S, FORGOTTEN * TRACKED * clock.interval)
+    begin = 0 if kind == "locked" else half_window(job)
+    tracked_s = max(RESTART_S, FEWEST_TRACKING_TIMES * TRACKING_SAMPLES * clock.interval)
     seconds = {"locked": LOCKED_STRETCH_S, "turning": RESTART_S, "tracked": tracked_s}.get(kind)
     length = samples if seconds is None else max(1, round(seconds / clock.interval))
     job.first = begin
-    cut = CutJob(job, begin, length, stretches(job, begin, length), drive, load_drive, share)
+    cut = CutJob(job, begin, length, stretch_count(job, begin, length), drive, load_drive, share)
     if kind == "tracked":
-        cut.target, cut.target_speed = target_of(job)
+        cut.target, cut.target_speed = smooth_motion(job)
     return cut
 
 
-def stretches(job: Job, begin: int, length: int) -> int:
+def stretch_count(job: Job, begin: int, length: int) -> int:
     """Return the number of stretches of `length` samples in a job; the last may reach beyond its end."""
     instants = (len(job.clock.time) - 1 - begin) * job.parts + 1
     return -(-instants // (length * job.parts))
 
 
-def target_of(job: Job) -> tuple[Array, Array]:
+def smooth_motion(job: Job) -> tuple[Array, Array]:
     """Return the smoothed measured motion at the instants: angle [rad] and speed [rad/s]."""
     clock = job.clock
     angle, speed = clock.get("angle"), clock.get("velocity")
@@ -117,7 +117,7 @@ def target_of(job: Job) -> tuple[Array, Array]:
     return np.asarray(spline(positions), np.float64), np.asarray(spline(positions, 1) / clock.interval, np.float64)
 
 
-def asked_angle(job: Job) -> Array:
+def angle_set_point(job: Job) -> Array:
     """Return a servo's angle set-point, held until the next sample; NaN while the drive is disabled."""
     reference, enabled = job.clock.values["angle_reference", "test"], job.clock.get("drive_enabled")
     set_point = np.append(np.repeat(reference[:-1], job.parts), reference[-1])
@@ -142,8 +142,10 @@ def drive_torque(job: Job, magnets: Array) -> Array:
         # a logged force has the offset of the drive's current
         logged = logged - (constant or 1.0) * job.plant.current_offset
         return np.append(logged[:1], np.repeat(logged[1:], job.parts))
-    flowing = restamped(job.current, job.clock.stamping.get(BALANCE.get(job.record.mechanical, "")), job.parts)
-    torque = constant * spread(magnets, job.parts) * flowing
+    flowing = restamped(
+        job.current, job.clock.stamping.get(BALANCE_EQUATIONS.get(job.record.mechanical, "")), job.parts
+    )
+    torque = constant * interpolate_steps(magnets, job.parts) * flowing
     for saturates in job.plant.torque_share:
         torque = torque * saturates(flowing)
     return torque
@@ -217,7 +219,7 @@ def lanes_of(cuts: Sequence[CutJob], picked: Sequence[Index]) -> Lanes:
         step=cuts[0].job.step,
         plants=plants,
         drive=drive,
-        load_drive=inputs("load_drive", 0.0) if any(two_ended(cut.job) for cut in cuts) else None,
+        load_drive=inputs("load_drive", 0.0) if any(has_two_ends(cut.job) for cut in cuts) else None,
         friction_share=inputs("share", 1.0) if any(c.share is not None for c in cuts) else None,
         inertia=constant("inertia"),
         damping=constant("damping"),
@@ -235,12 +237,12 @@ def lanes_of(cuts: Sequence[CutJob], picked: Sequence[Index]) -> Lanes:
     )
 
 
-def two_ended(job: Job) -> bool:
+def has_two_ends(job: Job) -> bool:
     """Return whether a load actuator or a part of a free rotor's inertia turns at the other end of a shaft."""
-    return job.record.mechanical == "coupled" or hangs_apart(job)
+    return job.record.mechanical == "coupled" or has_coupled_part(job)
 
 
-def hangs_apart(job: Job) -> bool:
+def has_coupled_part(job: Job) -> bool:
     """Return whether part of a free rotor's inertia is coupled by a spring or by teeth with play."""
     plant = job.plant
     return job.record.mechanical == "free" and (plant.elastic_load is not None or plant.geared_load is not None)
@@ -265,10 +267,10 @@ def constants_of(job: Job) -> dict[str, float]:
         "gravity": load.level_torque,
         "hanging": load.hanging_angle,
     }
-    if hangs_apart(job):
-        constants |= parted(constants, job)
-    rate = 1.0 / (TRACKED * job.clock.interval)
-    moved_inertia = constants["inertia"] + (constants["load_inertia"] if two_ended(job) else 0.0)
+    if has_coupled_part(job):
+        constants |= parted_constants(constants, job)
+    rate = 1.0 / (TRACKING_SAMPLES * job.clock.interval)
+    moved_inertia = constants["inertia"] + (constants["load_inertia"] if has_two_ends(job) else 0.0)
     # the tracking spring must be strong against the back-EMF's braking
     constants["tracking"] = moved_inertia * rate**2 + constants["emf_damping"] * rate if job.tracked else 0.0
     constants["tracking_damping"] = 2.0 * moved_inertia * rate if job.tracked else 0.0
@@ -286,7 +288,7 @@ def constants_of(job: Job) -> dict[str, float]:
     return constants
 
 
-def parted(rotor: Mapping[str, float], job: Job) -> dict[str, float]:
+def parted_constants(rotor: Mapping[str, float], job: Job) -> dict[str, float]:
     """Return the constants of a rotor with a coupled part of its inertia, from those of the rigid rotor.
 
     A model with spring and teeth has one load: on a spring, behind teeth.
@@ -310,6 +312,6 @@ def parted(rotor: Mapping[str, float], job: Job) -> dict[str, float]:
         # ratio for the swing of both ends against each other, with the same damper
         constants["damping_ratio"] = spring.damping_ratio / np.sqrt(1.0 - share)
     else:
-        constants["stiffness"] = constants["inertia"] * share * (TOOTH / job.step) ** 2
+        constants["stiffness"] = constants["inertia"] * share * (TOOTH_PHASE / job.step) ** 2
         constants["damping_ratio"] = TOOTH_DAMPING
     return constants

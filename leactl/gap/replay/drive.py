@@ -5,7 +5,7 @@ import numpy.typing as npt
 from scipy.signal import lfilter
 
 from leactl.gap.replay.job import Job
-from leactl.gap.replay.time_steps import LATEST, samples
+from leactl.gap.replay.time_steps import MOST_DELAY, samples
 from leactl.gap.signals.derived import moved_by_a_servo, with_setpoint_lead
 from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.gap.signals.smoothing import smooth
@@ -13,17 +13,17 @@ from leactl.gap.signals.stamps import restamped
 from leactl.gap.signals.voltage_ceiling import at_ceiling
 
 Array = npt.NDArray[np.float64]
-BUSIEST = 2000  # samples with the largest changes, which show how a reference moves between samples
-STANDS_S = 1.0  # s, longest time for which a rounding error stays the same
-RECOVERS = 12  # samples around the voltage ceiling in which the loop still recovers
+BUSIEST_SAMPLES = 2000  # number of samples with the largest changes, which show how a reference moves in between
+ROUNDING_HOLD_S = 1.0  # s, longest time for which a rounding error stays the same
+RECOVERY_SAMPLES = 12  # samples around the voltage ceiling in which the loop still recovers
 
 
-def follow(job: Job) -> None:
+def compute_current(job: Job) -> None:
     """Compute the current of the whole run; it does not depend on the motion, so it never restarts."""
     clock, plant = job.clock, job.plant
     bandwidth = plant.model.bench.current_loop_bandwidth
     if clock.get("q_axis_current_reference") is not None:
-        reference = asked(job) + rounding(job)
+        reference = reference_between_samples(job) + draw_rounding_error(job)
         if not moved_by_a_servo(clock):
             reference = with_setpoint_lead(reference, plant.model.bench, job.step)
         measured_current = clock.get("q_axis_current")
@@ -34,19 +34,19 @@ def follow(job: Job) -> None:
         if plant.command_at_speed and (speed := speed_over_steps(job)) is not None:
             for becomes_at in plant.command_at_speed:
                 reference = becomes_at(reference, speed)
-        reading, mean = answered(reference, reference[0], bandwidth, job.step)
+        reading, mean = response_over_steps(reference, reference[0], bandwidth, job.step)
         for becomes in plant.loop_answer:
             reading, mean = becomes(reading, job.step), becomes(mean, job.step)
         stamp_weights = clock.stamping.get("current")
         reading, mean = restamped(reading, stamp_weights, job.parts), restamped(mean, stamp_weights, job.parts)
-        reading, mean = where_measured(job, reading, mean)
+        reading, mean = with_measured_current(job, reading, mean)
     else:
-        flowing = measured(job, "test")
+        flowing = measured_over_steps(job, "test")
         if flowing is None:
             return
         reading, mean = flowing
     enabled = clock.get("drive_enabled")
-    enabled_share = spread(np.round(enabled), job.parts) if enabled is not None else np.ones_like(reading)
+    enabled_share = interpolate_steps(np.round(enabled), job.parts) if enabled is not None else np.ones_like(reading)
     job.current = enabled_share * (reading - plant.current_offset) / plant.current_gain
     job.current_mean = enabled_share[1:] * (mean - plant.current_offset) / plant.current_gain
 
@@ -57,23 +57,23 @@ def speed_over_steps(job: Job) -> Array | None:
     angle, speed = clock.get("angle"), clock.get("velocity")
     if angle is not None:
         speed = smooth(np.gradient(angle, clock.interval))
-    return None if speed is None else spread(speed, job.parts)[1:]
+    return None if speed is None else interpolate_steps(speed, job.parts)[1:]
 
 
-def where_measured(job: Job, reading: Array, mean: Array) -> tuple[Array, Array]:
+def with_measured_current(job: Job, reading: Array, mean: Array) -> tuple[Array, Array]:
     """Replace the current by the measured one where the drive has no reference, or is at its voltage ceiling."""
     unreferenced = job.clock.unasked("q_axis_current_reference")
-    flowing, at_limit = measured(job, "test"), at_ceiling(job.clock, job.plant.model) & ~unreferenced
+    flowing, at_limit = measured_over_steps(job, "test"), at_ceiling(job.clock, job.plant.model) & ~unreferenced
     if flowing is None or not (at_limit | unreferenced).any():
         return reading, mean
     job.at_ceiling = int(at_limit.sum())
-    use_measured = unreferenced | (np.convolve(at_limit, np.ones(2 * RECOVERS + 1), "same") > 0)
+    use_measured = unreferenced | (np.convolve(at_limit, np.ones(2 * RECOVERY_SAMPLES + 1), "same") > 0)
     steps = np.repeat(use_measured[1:], job.parts)
     instants = np.concatenate([steps[:1], steps])
     return np.where(instants, flowing[0], reading), np.where(steps, flowing[1], mean)
 
 
-def asked(job: Job) -> Array:
+def reference_between_samples(job: Job) -> Array:
     """Return the reference over each sub-step: held between samples, or ramped where a servo moves it.
 
     A servo inside the drive may change its current reference between samples: where its own target steps, the current
@@ -103,19 +103,19 @@ def misfit(job: Job, reference_over_steps: Array) -> float:
     """Return the squared residual of the loop's response at its best delay, where the reference changes most."""
     clock, parts = job.clock, job.parts
     flowing, reference = (clock.values[name, "test"] for name in ("q_axis_current", "q_axis_current_reference"))
-    _, mean = answered(
+    _, mean = response_over_steps(
         reference_over_steps, reference_over_steps[0], job.plant.model.bench.current_loop_bandwidth, job.step
     )
     total = np.concatenate([[0.0], np.cumsum(mean)])
-    delays = np.arange(samples(LATEST, job.plant.model.bench, clock.interval) * parts)
+    delays = np.arange(samples(MOST_DELAY, job.plant.model.bench, clock.interval) * parts)
     begin = -(-len(delays) // parts) + 1
-    busiest = begin + np.argsort(-np.abs(np.diff(reference)[begin - 1 :]))[:BUSIEST]
+    busiest = begin + np.argsort(-np.abs(np.diff(reference)[begin - 1 :]))[:BUSIEST_SAMPLES]
     ends = busiest[:, None] * parts - delays
     residual = flowing[busiest, None] - (total[ends] - total[ends - parts]) / parts
     return float(np.min(np.sum(residual**2, axis=0)))
 
 
-def rounding(job: Job) -> Array | float:
+def draw_rounding_error(job: Job) -> Array | float:
     """Return a random rounding error for the recorded reference of a servo; zero in an undisturbed replay.
 
     A reference may be constant for seconds. Without the servo, a rotor whose friction falls with speed runs away from
@@ -124,13 +124,13 @@ def rounding(job: Job) -> Array | float:
     if job.disturbance is None or not moved_by_a_servo(job.clock):
         return 0.0
     step = quantum_of(job.clock.values["q_axis_current_reference", "test"])
-    steps_at_rest = max(1, round(STANDS_S / job.step))
+    steps_at_rest = max(1, round(ROUNDING_HOLD_S / job.step))
     total = (len(job.clock.time) - 1) * job.parts
     rounding_error = step * (job.disturbance.random(total // steps_at_rest + 1) - 0.5)
     return np.asarray(np.repeat(rounding_error, steps_at_rest)[:total], np.float64)
 
 
-def answered(reference: Array, start: float, bandwidth: float | None, step: float) -> tuple[Array, Array]:
+def response_over_steps(reference: Array, start: float, bandwidth: float | None, step: float) -> tuple[Array, Array]:
     """Return a first-order loop's response to a reference over each sub-step: at the instants, and as means between."""
     if not bandwidth:
         return np.concatenate([reference[:1], reference]), reference
@@ -141,7 +141,7 @@ def answered(reference: Array, start: float, bandwidth: float | None, step: floa
     return instants, reference - constant * np.diff(instants) / step
 
 
-def measured(job: Job, role: str) -> tuple[Array, Array] | None:
+def measured_over_steps(job: Job, role: str) -> tuple[Array, Array] | None:
     """Return a measured current at the instants and as means between, interpolated by the loop's response."""
     values = job.clock.get("q_axis_current", role)
     if values is None:
@@ -153,20 +153,20 @@ def measured(job: Job, role: str) -> tuple[Array, Array] | None:
         means = np.repeat(values[1:], job.parts)
         return np.concatenate([means[:1], means]), means
     if not bandwidth:
-        instants = spread(values, job.parts)
+        instants = interpolate_steps(values, job.parts)
         return instants, 0.5 * (instants[1:] + instants[:-1])
     decay = float(np.exp(-2.0 * np.pi * bandwidth * job.clock.interval))
     equivalent_reference = (values[1:] - decay * values[:-1]) / (1.0 - decay)
-    return answered(np.repeat(equivalent_reference, job.parts), float(values[0]), bandwidth, job.step)
+    return response_over_steps(np.repeat(equivalent_reference, job.parts), float(values[0]), bandwidth, job.step)
 
 
-def spread(values: Array, parts: int) -> Array:
+def interpolate_steps(values: Array, parts: int) -> Array:
     """Interpolate samples linearly at the instants of the sub-steps."""
     positions = np.arange((len(values) - 1) * parts + 1) / parts
     return np.interp(positions, np.arange(len(values)), values)
 
 
-def over_samples(means: Array, parts: int) -> Array:
+def means_over_samples(means: Array, parts: int) -> Array:
     """Average means over sub-steps to means over the interval that ends at each sample."""
     sample_means = means.reshape(-1, parts).mean(axis=1)
     return np.concatenate([sample_means[:1], sample_means])

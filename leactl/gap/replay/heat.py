@@ -16,23 +16,24 @@ from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import WINDING, Clocked
 from leactl.gap.signals.smoothing import smooth
 
-STARTS, MOST_AT_START = 0.3, 20  # window of the start: share of a winding's time constant, and most samples
-FED_WIDTH = 8.0  # samples, smoothing of a share measured by a camera
+START_SHARE = 0.3  # share of a winding's time constant in which readings determine the start
+MOST_START_SAMPLES = 20  # most samples of these readings
+FED_WIDTH = 8.0  # samples, smoothing of the temperatures that give the share of the fed phases
 NODES_FROM_START = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])  # a further body begins as the housing
 FURTHER_BODY = np.array([0.0, 0.0, 1.0])
-AWAY = 1e9  # K/W, resistance to a body that does not exist
+NO_BODY_RESISTANCE = 1e9  # K/W, resistance to a body that does not exist
 
 
-def warm(jobs: Sequence[Job]) -> None:
+def replay_temperatures(jobs: Sequence[Job]) -> None:
     """Replay the temperatures of every run whose bench has a thermal network; use the measured ones elsewhere."""
     networked = [Network(job) for job in jobs if has_network(job)]
     if networked:
-        answer = together(networked)
+        answer = step_from_starts(networked)
         for index, network in enumerate(networked):
             network.keep(answer[: network.count, index])
     for job in jobs:
         if not has_network(job):
-            measured(job)
+            write_measured_temperatures(job)
 
 
 def has_network(job: Job) -> bool:
@@ -62,7 +63,7 @@ class Network:
             self.housing_heat = self.housing_heat + heat(self.speed)
         wa, wh = 1 / thermal.winding_ambient_resistance, 1 / thermal.winding_housing_resistance
         self.to_air = 1 / thermal.housing_ambient_resistance
-        capacity, resistance = plant.further_node or (1.0, AWAY)
+        capacity, resistance = plant.further_node or (1.0, NO_BODY_RESISTANCE)
         hf = 1.0 / resistance
         self.capacities = np.array([thermal.winding_capacitance, thermal.housing_capacitance, capacity])
         flows = np.array([[-(wa + wh), wh, 0.0], [wh, -(wh + self.to_air + hf), hf], [0.0, hf, -hf]])
@@ -118,7 +119,8 @@ class Network:
         of the whole run come out best.
         """
         count = min(
-            max(1, round(STARTS * winding_time_constant(self.job.plant.model) / self.clock.interval)), MOST_AT_START
+            max(1, round(START_SHARE * winding_time_constant(self.job.plant.model) / self.clock.interval)),
+            MOST_START_SAMPLES,
         )
         first = slice(0, min(count, self.count // 4) + 1)
         read = np.stack([self._first_of("winding_temperature", first), self._first_of("housing_temperature", first)])
@@ -136,7 +138,7 @@ class Network:
         """
         start = np.mean(read, axis=1)
         for _ in range(2):  # one pass is exact but for heat that depends on the temperature
-            course = stepped([self], (NODES_FROM_START @ start + excess)[None], read.shape[1])[:, 0, :2]
+            course = step_networks([self], (NODES_FROM_START @ start + excess)[None], read.shape[1])[:, 0, :2]
             start = start + np.linalg.solve(np.mean(kept, axis=0), np.mean(read - course.T, axis=1))
         return np.asarray(NODES_FROM_START @ start + excess, np.float64)
 
@@ -154,7 +156,7 @@ class Network:
         by_body, by_start = responses[:, :, 0], responses[:, :, 1:]
         # the start moves against the body, so that the first samples come out as measured on average
         moved_start = np.linalg.solve(np.mean(kept, axis=0), np.mean(by_body[: len(kept)], axis=0))
-        change, course = by_body - by_start @ moved_start, stepped([self], start[None], self.count)[:, 0, :2]
+        change, course = by_body - by_start @ moved_start, step_networks([self], start[None], self.count)[:, 0, :2]
         prior = (start[1] - self.ambient[0]) ** 2
         weighted_change, information = 0.0, 1.0
         for node, name in enumerate(("winding_temperature", "housing_temperature")):
@@ -210,13 +212,13 @@ class Network:
             job.housing = np.interp(job.clock.time, clock.time, housing)
 
 
-def together(networks: Sequence[Network]) -> Array:
+def step_from_starts(networks: Sequence[Network]) -> Array:
     """Step all networks from their starts; return temperatures (step, network, node)."""
     starts = np.stack([network.start for network in networks])
-    return stepped(networks, starts, max(network.count for network in networks))
+    return step_networks(networks, starts, max(network.count for network in networks))
 
 
-def stepped(networks: Sequence[Network], starts: Array, longest: int) -> Array:
+def step_networks(networks: Sequence[Network], starts: Array, longest: int) -> Array:
     """Step networks from starts (network, node) by `longest` steps; return temperatures (step, network, node)."""
 
     def inputs(name: str) -> Array:
@@ -247,7 +249,7 @@ def stepped(networks: Sequence[Network], starts: Array, longest: int) -> Array:
     return temperatures
 
 
-def measured(job: Job) -> None:
+def write_measured_temperatures(job: Job) -> None:
     """Write the measured temperatures into the job, where no network replays them."""
     clock: Clocked | None = job.record.slow
     if clock is None or job.record.fast is None:

@@ -6,17 +6,17 @@ import numpy.typing as npt
 from leactl.gap.replay.job import Array, Job
 from leactl.gap.signals.noise import noise_of
 
-HALF_S = 4e-3  # to either side of the start: short against the change of speed, long against the encoder's steps
+HALF_WINDOW_S = 4e-3  # s on either side of a start: the speed hardly changes, and the encoder steps many times
 
 
-def reach(job: Job) -> int:
+def half_window(job: Job) -> int:
     """Samples to either side of a start."""
-    return max(1, round(HALF_S / job.clock.interval))
+    return max(1, round(HALF_WINDOW_S / job.clock.interval))
 
 
 def starting_motion(job: Job, at: npt.NDArray[np.intp]) -> tuple[Array, Array]:
     """Angle [rad] and speed [rad/s] at some samples, the encoder's error taken off."""
-    clock, half = job.clock, reach(job)
+    clock, half = job.clock, half_window(job)
     offsets = np.arange(-half, half + 1)
     around = np.clip(at[:, None] + offsets, 0, len(clock.time) - 1)
     measured, speeds = clock.get("angle"), clock.get("velocity")

@@ -17,7 +17,7 @@ from leactl.effects.plant import Moment, Plant
 Array = npt.NDArray[np.float64]
 BRISTLE_DAMPING = 0.2  # of critical, while bristles bend: without it a sticking rotor would ring for ever
 SHAFT_DAMPING = 0.03  # of critical, as steel shafts with clamped couplings have
-STIFFEST = 1.0  # rad, largest half phase of a shaft's resonance in a step; a stiffer shaft is practically rigid
+MOST_HALF_PHASE = 1.0  # rad, largest half phase of a shaft's resonance in a step; a stiffer shaft is practically rigid
 
 
 @dataclass
@@ -100,10 +100,10 @@ def resonant_stiffness(lanes: Lanes) -> Array:
     """Return the stiffness with which the discrete steps ring at the shaft's own frequency."""
     mobility = 1.0 / lanes.inertia + 1.0 / lanes.load_inertia
     half = 0.5 * lanes.step * np.sqrt(lanes.stiffness * mobility)
-    return np.asarray(np.sin(np.minimum(half, STIFFEST)) ** 2 * 4.0 / (lanes.step**2 * mobility), np.float64)
+    return np.asarray(np.sin(np.minimum(half, MOST_HALF_PHASE)) ** 2 * 4.0 / (lanes.step**2 * mobility), np.float64)
 
 
-def stepped(lanes: Lanes, start: LaneState) -> LaneMotion:
+def step_lanes(lanes: Lanes, start: LaneState) -> LaneMotion:
     """Step every lane to its end."""
     steps, count = lanes.drive.shape
     h = lanes.step
@@ -187,11 +187,11 @@ def stepped(lanes: Lanes, start: LaneState) -> LaneMotion:
                 motion.load_velocity[index] = load_velocity
     motion.end = LaneState(angle, velocity, load_velocity, twist, bristle)
     if shaft:
-        take_up(motion, lanes, stiffness)
+        correct_softness(motion, lanes, stiffness)
     return motion
 
 
-def take_up(motion: LaneMotion, lanes: Lanes, stiffness: Array) -> None:
+def correct_softness(motion: LaneMotion, lanes: Lanes, stiffness: Array) -> None:
     """Correct the motion for the softer spring of the discrete steps, which twists too much.
 
     The excess twist is removed where no balance of torques reads it: the load's speed is

@@ -1,7 +1,7 @@
 """Read long runs in stretches at their full rate, so that memory does not grow with the length of a run.
 
-All runs of a case share `ROWS` rows. A run longer than its share is read in `STRETCHES` stretches, one in each
-sixteenth of it: the first, the last, and between them those whose level and swing differ most from the others'.
+All runs of a case share `MOST_ROWS` rows. A run longer than its share is read in `MOST_STRETCHES` stretches, one in
+each sixteenth of it: the first, the last, and between them those whose level and swing differ most from the others'.
 Temperatures depend on the whole history: they are read from end to end as means over many samples, with the mean
 squares of current and speed over every sample in between.
 """
@@ -36,16 +36,16 @@ from leactl.runfile.verify.integrity import refuse_altered
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-ROWS = 3 << 17  # most rows of all runs of a case together
-SLOW_ROWS = 1 << 14  # most rows of the temperatures of a run, which change slowly
-STRETCHES = 16  # most stretches of a run
-SHORTEST = 1 << 9  # fewest rows of a stretch; a small share gives fewer stretches
-CANDIDATES = 1 << 10  # most candidate stretches of a run to choose among
-PARTS = 8  # steps of a replay in a sample above which the sample counts for more than a row
-BROKEN = 2.0  # duration of a stretch, over the median one, above which it holds a pause
-AROUND = 64  # samples of temperature on either side of a stretch, for smoothing
-CURRENTS = ("q_axis_current", "q_axis_current_reference", "torque_reference", "torque", "q_axis_voltage")
-SPEEDS = ("velocity", "angle", "velocity_reference", "angle_reference")
+MOST_ROWS = 3 << 17  # rows of all runs of a case together
+MOST_SLOW_ROWS = 1 << 14  # rows of the temperatures of a run, which change slowly
+MOST_STRETCHES = 16  # stretches of a run
+FEWEST_STRETCH_ROWS = 1 << 9  # rows of a stretch; a small share gives fewer stretches
+MOST_CANDIDATES = 1 << 10  # candidate stretches of a run to choose among
+STEPS_PER_ROW = 8  # steps of a replay in a sample above which the sample counts for more than a row
+MOST_UNBROKEN_RATIO = 2.0  # duration of a stretch, over the median one, above which it holds a pause
+TEMPERATURE_MARGIN = 64  # samples of temperature on either side of a stretch, for smoothing
+CURRENT_CHANNELS = ("q_axis_current", "q_axis_current_reference", "torque_reference", "torque", "q_axis_voltage")
+SPEED_CHANNELS = ("velocity", "angle", "velocity_reference", "angle_reference")
 
 
 def read_records(paths: Sequence[Path], bench: BenchModel) -> dict[Path, list[Record]]:
@@ -65,11 +65,13 @@ def read_records(paths: Sequence[Path], bench: BenchModel) -> dict[Path, list[Re
                 costs[path] = cost_of(run, bench)
         except InputError as error:
             faults += error.faults
-    share = fair_share(list(costs.values()), ROWS)
+    share = fair_share(list(costs.values()), MOST_ROWS)
     for path, cost in costs.items():
         try:
             with Run.open(path) as run:
-                by_path[path] = [record_of(run, whole(run))] if cost <= share else records_of(run, share, bench)
+                by_path[path] = (
+                    [record_of(run, whole_channels(run))] if cost <= share else records_of(run, share, bench)
+                )
         except InputError as error:
             faults += error.faults
     if faults:
@@ -93,22 +95,26 @@ def fair_share(costs: Sequence[float], total: float) -> float:
 
 def cost_of(run: Run, bench: BenchModel) -> float:
     """Return the rows of a run on the clock of its drive; a row with many steps of a replay counts as several."""
-    name = leading(run)
+    name = leading_stream(run)
     if name is None or run.rows[name] < 2:
         return 0.0
     rows = run.rows[name]
-    stamps = run.values(name, "time", 0, min(rows, ROWS + 1))
+    stamps = run.values(name, "time", 0, min(rows, MOST_ROWS + 1))
     interval = bridging_interval(stamps)
-    clock_rows = float(stamps[-1] - stamps[0]) / interval if rows <= ROWS else rows  # a gap makes rows as well
-    return math.inf if clock_rows > MOST_DURATION_RATIO * rows else max(clock_rows, rows) * weight(interval, bench)
+    clock_rows = float(stamps[-1] - stamps[0]) / interval if rows <= MOST_ROWS else rows  # a gap makes rows as well
+    return (
+        math.inf
+        if clock_rows > MOST_DURATION_RATIO * rows
+        else max(clock_rows, rows) * rows_per_sample(interval, bench)
+    )
 
 
-def weight(interval: float, bench: BenchModel) -> float:
+def rows_per_sample(interval: float, bench: BenchModel) -> float:
     """Return the number of rows that one sample counts for: above one if a replay takes many steps in a sample."""
-    return max(1.0, steps_in_sample(bench, interval) / PARTS)
+    return max(1.0, steps_in_sample(bench, interval) / STEPS_PER_ROW)
 
 
-def leading(run: Run) -> str | None:
+def leading_stream(run: Run) -> str | None:
     """Return the stream with most channels of drive and sensors; None where a run has only temperatures."""
     fast = {name: sum(is_fast(spec) for spec in specs) for name, specs in run.streams.items()}
     best = max(fast, key=lambda name: (fast[name], run.rows[name]), default=None)
@@ -183,15 +189,15 @@ def stretch_of(walk: "Walk", start: int, stop: int, slow: Record | None) -> tupl
     record = record_of(run, channels, walk.interval)
     clock = record.fast
     assert clock is not None  # `record_of` raises where no channel is usable
-    temperatures = None if slow is None or slow.slow is None else cut_out(slow.slow, begin_time, end_time)
+    temperatures = None if slow is None or slow.slow is None else temperatures_around(slow.slow, begin_time, end_time)
     record = replace(record, slow=temperatures, stretch=f" from {begin_time - walk.begin:.6g} s")
     return record, replace(clock, begin=walk.begin)
 
 
-def whole(run: Run) -> list[Channel]:
+def whole_channels(run: Run) -> list[Channel]:
     """Read every channel of a run, temperatures as means where they have many samples."""
     return [run.section(stream, spec, 0, run.rows[stream]) for stream, spec in channels_of(run) if is_fast(spec)] + [
-        meant(run, stream, spec) for stream, spec in channels_of(run) if is_slow(spec.quantity)
+        read_means(run, stream, spec) for stream, spec in channels_of(run) if is_slow(spec.quantity)
     ]
 
 
@@ -205,16 +211,16 @@ def channels_of(run: Run) -> list[tuple[str, ChannelSpec]]:
 
 def slow_record(run: Run) -> Record | None:
     """Read the temperatures of a whole run; None where it has none."""
-    channels = [meant(run, stream, spec) for stream, spec in channels_of(run) if is_slow(spec.quantity)]
+    channels = [read_means(run, stream, spec) for stream, spec in channels_of(run) if is_slow(spec.quantity)]
     if not any(np.isfinite(channel.values).sum() >= FEWEST_SAMPLES for channel in channels):
         return None
     return record_of(run, channels)
 
 
-def meant(run: Run, stream: str, spec: ChannelSpec) -> Channel:
-    """Read a channel as means over equal numbers of samples, at most `SLOW_ROWS` of them, stamped in their middle."""
+def read_means(run: Run, stream: str, spec: ChannelSpec) -> Channel:
+    """Read a channel as means over equal numbers of samples, at most `MOST_SLOW_ROWS` of them, stamped in their middle."""
     rows = run.rows[stream]
-    width = -(-rows // SLOW_ROWS)
+    width = -(-rows // MOST_SLOW_ROWS)
     if width <= 1:
         return run.section(stream, spec, 0, rows)
     times, values = [], []
@@ -236,10 +242,10 @@ def blocks(rows: int, width: int) -> Iterator[tuple[int, int]]:
         yield start, min(start + length, rows)
 
 
-def cut_out(clock: Clocked, begin_time: float, end_time: float) -> Clocked:
+def temperatures_around(clock: Clocked, begin_time: float, end_time: float) -> Clocked:
     """Return the temperatures around a stretch."""
     start, stop = np.searchsorted(clock.time, [begin_time, end_time])
-    window = slice(max(int(start) - AROUND, 0), int(stop) + AROUND)
+    window = slice(max(int(start) - TEMPERATURE_MARGIN, 0), int(stop) + TEMPERATURE_MARGIN)
     return replace(
         clock,
         time=clock.time[window],
@@ -276,11 +282,11 @@ class Walk:
     @classmethod
     def of(cls, run: Run, share: float, bench: BenchModel) -> Self:
         """Return the walk through a run of which at most `share` rows are read."""
-        name = leading(run)
+        name = leading_stream(run)
         assert name is not None  # a run without a drive is not too long for anything
-        interval = bridging_interval(run.values(name, "time", 0, min(run.rows[name], ROWS)))
-        looked_at = max(min(int(share / weight(interval, bench)), run.rows[name]), 2)
-        count = min(STRETCHES, max(looked_at // SHORTEST, 2))
+        interval = bridging_interval(run.values(name, "time", 0, min(run.rows[name], MOST_ROWS)))
+        looked_at = max(min(int(share / rows_per_sample(interval, bench)), run.rows[name]), 2)
+        count = min(MOST_STRETCHES, max(looked_at // FEWEST_STRETCH_ROWS, 2))
         return cls(run, name, interval, looked_at // count, count)
 
     @property
@@ -304,10 +310,10 @@ class Walk:
         chosen ones by mean and root mean square of current and speed, each in units of its range.
         """
         rows = self.rows
-        starts = np.linspace(0, rows - self.length, min(rows // self.length, CANDIDATES)).astype(np.intp)
+        starts = np.linspace(0, rows - self.length, min(rows // self.length, MOST_CANDIDATES)).astype(np.intp)
         summaries = np.stack([self._summary(int(start)) for start in starts])
         spans, features = summaries[:, 0], summaries[:, 1:]
-        unbroken = spans <= BROKEN * np.median(spans)
+        unbroken = spans <= MOST_UNBROKEN_RATIO * np.median(spans)
         ranges = np.ptp(features, axis=0)
         features = (features - features.min(axis=0)) / np.where(ranges > 0.0, ranges, 1.0)
         parts = [part[unbroken[part]] for part in np.array_split(np.arange(len(starts)), self.count)]
@@ -330,11 +336,11 @@ class Walk:
 
     def _moving(self, start: int, stop: int, stamps: Array) -> Iterator[Array]:
         """Yield current and speed of some rows, or the channels that replace them; an angle as its rate."""
-        for wanted in (CURRENTS, SPEEDS):
+        for wanted in (CURRENT_CHANNELS, SPEED_CHANNELS):
             spec = self._first_of(wanted)
             if spec is not None:
                 values = self.values(spec.name, start, stop)
-                yield turned(values, stamps) if spec.quantity.startswith("angle") else values
+                yield speed_of_angle(values, stamps) if spec.quantity.startswith("angle") else values
 
     def _first_of(self, quantities: Sequence[str]) -> ChannelSpec | None:
         specs = {spec.quantity: spec for spec in reversed(self.run.streams[self.stream]) if spec.role == "test"}
@@ -345,7 +351,7 @@ class Walk:
         sums: dict[str, Array] = {}
         counts: dict[str, Array] = {}
         rows = self.rows
-        current, speed = self._first_of(CURRENTS[:1]), self._first_of(SPEEDS[:2])
+        current, speed = self._first_of(CURRENT_CHANNELS[:1]), self._first_of(SPEED_CHANNELS[:2])
         for start, stop in blocks(rows, 1):
             stamps = self.values("time", start, stop)
             interval_of_row = np.searchsorted(edges, stamps, side="right") - 1
@@ -356,7 +362,7 @@ class Walk:
             if speed is not None:
                 speeds = self.values(speed.name, start, stop)
                 if speed.quantity == "angle":
-                    speeds = turned(speeds, stamps)
+                    speeds = speed_of_angle(speeds, stamps)
                 powers["speed_squared"] = speeds**2
             for name, values in powers.items():
                 counted = np.isfinite(values) & (interval_of_row >= 0)
@@ -365,7 +371,7 @@ class Walk:
                     intervals, weights=values[counted], minlength=len(edges)
                 )
                 counts[name] = counts.get(name, np.zeros(len(edges))) + np.bincount(intervals, minlength=len(edges))
-        return {name: bridged(total, counts[name]) for name, total in sums.items()}
+        return {name: means_with_gaps_filled(total, counts[name]) for name, total in sums.items()}
 
     def told(self, stretches: Sequence[Record]) -> str:
         """Return the note that says how much of the run is read."""
@@ -384,14 +390,14 @@ class Walk:
         )
 
 
-def turned(angle: Array, stamps: Array) -> Array:
+def speed_of_angle(angle: Array, stamps: Array) -> Array:
     """Return the smoothed speed of an angle, at the mean interval of its stamps."""
     if len(angle) < 2:
         return np.zeros(len(angle))
     return np.asarray(smooth(np.gradient(angle)) * (len(angle) - 1) / (stamps[-1] - stamps[0]), np.float64)
 
 
-def bridged(sums: Array, counts: Array) -> Array:
+def means_with_gaps_filled(sums: Array, counts: Array) -> Array:
     """Divide sums by counts, and interpolate where a count is zero."""
     known = np.flatnonzero(counts > 0)
     if len(known) == 0:

@@ -18,30 +18,30 @@ from leactl.gap.replay.cutting import (
     CutJob,
     Index,
     constants_of,
-    cut_of,
-    hangs_apart,
+    cut_job,
+    has_coupled_part,
     lanes_of,
     logged_torque,
-    target_of,
+    smooth_motion,
     voltage_torque,
 )
 from leactl.gap.replay.initial_state import starting_motion
 from leactl.gap.replay.job import Job
-from leactl.gap.replay.lanes import LaneMotion, LaneState, stepped
+from leactl.gap.replay.lanes import LaneMotion, LaneState, step_lanes
 
-SLOWEST = 0.5  # longest interval between samples, over the time constant of drag: beyond it a start is not measured
-SETTLED_AFTER = 128  # most passes; then a locked rotor that never slides begins a stretch at the first guess
-FORGOTTEN_AFTER = 3  # passes after which a tracked rotor's start has no influence
-CLOSE = 3e-4  # largest mismatch of a stretch's start to the previous end, as a share of the largest torque
+MOST_INTERVAL_RATIO = 0.5  # interval between samples over the time constant of drag; beyond it a start is not measured
+MOST_PASSES = 128  # passes of locked rotors; then one that never slides begins a stretch at the first guess
+TRACKED_PASSES = 3  # passes after which a tracked rotor's start has no influence
+MOST_MISMATCH = 3e-4  # of a stretch's start and the previous end, as a share of the largest torque
 
 
 def move(jobs: Sequence[Job]) -> None:
     """Replay the motion of every job that has the inputs; the others get a note on what is missing."""
     sets: dict[tuple[str, float, int], list[CutJob]] = {}
     for job in jobs:
-        kind = kind_of(job)
+        kind = stepping_kind(job)
         if kind is not None:
-            sets.setdefault((kind, round(job.step, 9), job.parts), []).append(cut_of(job, kind))
+            sets.setdefault((kind, round(job.step, 9), job.parts), []).append(cut_job(job, kind))
     for (kind, _, _), cuts in sets.items():
         # lanes of one bench side by side: its effects then act on all of them in one call
         cuts.sort(key=lambda cut: id(cut.job.plant))
@@ -49,18 +49,18 @@ def move(jobs: Sequence[Job]) -> None:
         for cut in cuts:
             cut.take_length(longest)  # a servo that ends earlier continues at its last reference
         if kind in ("locked", "tracked"):
-            settle(cuts, kind)
+            step_until_settled(cuts, kind)
         else:
             all_lanes = [np.arange(cut.count) for cut in cuts]
-            keep(cuts, all_lanes, run(cuts, all_lanes, [start_of(cut, kind) for cut in cuts]))
+            write_motion(cuts, all_lanes, step_stretches(cuts, all_lanes, [start_of(cut, kind) for cut in cuts]))
         for cut in cuts:
             if kind == "tracked":
-                carry(cut.job)
+                add_tracking_current(cut.job)
             cut.job.restarts = kind == "turning"
             cut.job.starts = cut.first + cut.length * np.arange(cut.count)
 
 
-def kind_of(job: Job) -> str | None:
+def stepping_kind(job: Job) -> str | None:
     """Return how a job is stepped: locked, turning, tracked or servo; None, with a note, where it cannot be."""
     model, name = job.plant.model, job.record.path.name
     if model.transmission is not None:
@@ -74,7 +74,7 @@ def kind_of(job: Job) -> str | None:
             return None
         return "servo"
     inertia, damping = model.rotor_inertia or 0.0, model.viscous_damping or 0.0
-    if job.clock.interval * damping > SLOWEST * inertia and job.record.mechanical != "locked":
+    if job.clock.interval * damping > MOST_INTERVAL_RATIO * inertia and job.record.mechanical != "locked":
         job.notes.append(f"{name}: {1 / job.clock.interval:.3g} samples a second are too few to replay a motion")
         return None
     driven = job.current is not None and model.torque_constant is not None
@@ -103,7 +103,7 @@ def kind_of(job: Job) -> str | None:
     return "tracked" if job.tracked else "turning"
 
 
-def carry(job: Job) -> None:
+def add_tracking_current(job: Job) -> None:
     """Add the current for the tracking torque to the current of a tracked rotor."""
     constant = job.plant.model.torque_constant
     if job.current is None or job.current_mean is None or job.pull is None or constant is None:
@@ -132,19 +132,19 @@ def start_of(cut: CutJob, kind: str) -> LaneState:
     if c["stiffness"]:
         # no ringing at the start: both rotors accelerate alike
         mass = c["inertia"] + c["load_inertia"]
-        twist = strained((c["load_inertia"] * net - c["inertia"] * load_net) / mass, job)
+        twist = twist_under_torque((c["load_inertia"] * net - c["inertia"] * load_net) / mass, job)
         net = net + load_net
     half_step_velocity = velocity - 0.5 * job.step * net / mass * np.abs(rubbing)
     load = half_step_velocity.copy()
     measured = job.clock.get("angle") is not None or job.clock.get("velocity") is not None
-    if measured and kind != "servo" and job.plant.geared_load is not None and hangs_apart(job):
-        load, twist = behind_teeth(job, c, samples)
+    if measured and kind != "servo" and job.plant.geared_load is not None and has_coupled_part(job):
+        load, twist = load_behind_teeth(job, c, samples)
     return LaneState(angle, half_step_velocity, load, twist, np.sign(velocity) * np.abs(rubbing))
 
 
-def behind_teeth(job: Job, c: Mapping[str, float], samples: Index) -> tuple[Array, Array]:
+def load_behind_teeth(job: Job, c: Mapping[str, float], samples: Index) -> tuple[Array, Array]:
     """Return speed [rad/s] and twist [rad], at some samples, of a load driven by the measured motion through play."""
-    _, speed = target_of(job)
+    _, speed = smooth_motion(job)
     load_constants = np.array(
         [0.5 * job.plant.play, c["load_damping"] / c["load_inertia"], c["load_friction"] / c["load_inertia"]]
     )
@@ -152,38 +152,40 @@ def behind_teeth(job: Job, c: Mapping[str, float], samples: Index) -> tuple[Arra
     return speeds[0, samples], twists[0, samples]
 
 
-def strained(torque: Array, job: Job) -> Array:
+def twist_under_torque(torque: Array, job: Job) -> Array:
     """Return the twist [rad] of a shaft that carries a torque, with its play."""
     return np.asarray(torque / constants_of(job)["stiffness"] + 0.5 * job.plant.play * np.sign(torque), np.float64)
 
 
-def run(cuts: Sequence[CutJob], picked: Sequence[Index], starts: Sequence[LaneState]) -> LaneMotion:
+def step_stretches(cuts: Sequence[CutJob], picked: Sequence[Index], starts: Sequence[LaneState]) -> LaneMotion:
     """Step some stretches of every cut."""
     together = LaneState(*(np.concatenate(values) for values in zip(*(vars(s).values() for s in starts), strict=True)))
-    return stepped(lanes_of(cuts, picked), together)
+    return step_lanes(lanes_of(cuts, picked), together)
 
 
-def settle(cuts: Sequence[CutJob], kind: str) -> None:
+def step_until_settled(cuts: Sequence[CutJob], kind: str) -> None:
     """Step the stretches of locked or tracked rotors until each begins at the end of the previous one."""
     picked: list[Index] = [np.arange(cut.count) for cut in cuts]
-    starts = [resting(cut) if kind == "locked" else start_of(cut, kind) for cut in cuts]
-    passes = min(max(cut.count for cut in cuts) + 1, SETTLED_AFTER) if kind == "locked" else FORGOTTEN_AFTER
+    starts = [locked_start(cut) if kind == "locked" else start_of(cut, kind) for cut in cuts]
+    passes = min(max(cut.count for cut in cuts) + 1, MOST_PASSES) if kind == "locked" else TRACKED_PASSES
     for _ in range(passes):
-        motion = run(cuts, picked, [start.picked(lanes) for start, lanes in zip(starts, picked, strict=True)])
-        keep(cuts, picked, motion)
+        motion = step_stretches(
+            cuts, picked, [start.picked(lanes) for start, lanes in zip(starts, picked, strict=True)]
+        )
+        write_motion(cuts, picked, motion)
         wrong: list[Index] = []
         lane = 0
         for cut, start, lanes in zip(cuts, starts, picked, strict=True):
             following = lanes[lanes + 1 < cut.count] + 1
             ends = motion.end.picked(lane + np.arange(len(following)))
             lane += len(lanes)
-            wrong.append(following[continued(cut, start, following, ends)])
+            wrong.append(following[carry_over_ends(cut, start, following, ends)])
         picked = wrong
         if not any(len(lanes) for lanes in picked):
             return
 
 
-def continued(cut: CutJob, start: LaneState, following: Index, ends: LaneState) -> npt.NDArray[np.bool_]:
+def carry_over_ends(cut: CutJob, start: LaneState, following: Index, ends: LaneState) -> npt.NDArray[np.bool_]:
     """Set the starts of stretches to the ends of the previous ones; return the mask of those that differed."""
     c = constants_of(cut.job)
     spring = c["stiffness"] or c["tracking"]
@@ -192,20 +194,20 @@ def continued(cut: CutJob, start: LaneState, following: Index, ends: LaneState) 
     mismatch = mismatch + np.abs(ends.angle - start.angle[following]) * c["tracking"]
     mismatch = mismatch + np.abs(ends.velocity - start.velocity[following]) * impedance
     mismatch = mismatch + np.abs(ends.bristle - start.bristle[following]) * c["friction"]
-    wrong = np.asarray(mismatch > CLOSE * float(np.max(np.abs(cut.drive), initial=1e-9)))
+    wrong = np.asarray(mismatch > MOST_MISMATCH * float(np.max(np.abs(cut.drive), initial=1e-9)))
     for name, values in vars(start).items():
         values[following[wrong]] = getattr(ends, name)[wrong]
     return wrong
 
 
-def resting(cut: CutJob) -> LaneState:
+def locked_start(cut: CutJob) -> LaneState:
     """Return a first guess of the start of each stretch of a locked rotor: friction as play, without ringing."""
     c = constants_of(cut.job)
     parts, samples = cut.job.parts, cut.length * np.arange(cut.count)
     drive = cut.drive[::parts]
     torque = play(drive, c["friction"])
     angle = cut.job.clock.get("angle")
-    twist = strained(torque, cut.job)
+    twist = twist_under_torque(torque, cut.job)
     resting_angle = (twist - float(np.mean(twist)))[samples] + (float(np.mean(angle)) if angle is not None else 0.0)
     torque = torque[samples]
     zeros = np.zeros(cut.count)
@@ -213,7 +215,7 @@ def resting(cut: CutJob) -> LaneState:
     return LaneState(resting_angle, zeros, zeros.copy(), twist[samples], bristle)
 
 
-def keep(cuts: Sequence[CutJob], picked: Sequence[Index], motion: LaneMotion) -> None:
+def write_motion(cuts: Sequence[CutJob], picked: Sequence[Index], motion: LaneMotion) -> None:
     """Write the motion of the lanes into the jobs."""
     lane = 0
     for cut, lanes in zip(cuts, picked, strict=True):

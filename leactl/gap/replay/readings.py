@@ -7,17 +7,17 @@ import numpy as np
 from scipy.signal import lfilter
 
 from leactl.effects.plant import Array, Becomes, Course
-from leactl.gap.replay.drive import over_samples
+from leactl.gap.replay.drive import means_over_samples
 from leactl.gap.replay.heat import resistance_share
 from leactl.gap.replay.job import Job
-from leactl.gap.replay.time_steps import REMEMBERED, samples
+from leactl.gap.replay.time_steps import FILTER_MEMORY, samples
 from leactl.gap.signals.smoothing import smooth, speeds
 from leactl.gap.signals.stamps import restamped
 
-STAMPED_BY = {"velocity": "velocity", "torque": "torque_channel", "q_axis_voltage": "voltage"}  # equations
+STAMP_EQUATIONS = {"velocity": "velocity", "torque": "torque_channel", "q_axis_voltage": "voltage"}  # by channel
 
 
-def read(job: Job) -> None:
+def write_readings(job: Job) -> None:
     """Write the readings of the fast clock's channels that the run has and the replay determines."""
     clock = job.clock
     steps = (len(clock.time) - 1) * job.parts
@@ -39,12 +39,12 @@ def read(job: Job) -> None:
     readings["q_axis_voltage"] = volts
     for name, values in readings.items():
         if values is not None and (clock.get(name) is not None or name == "velocity"):
-            job.fast[name, "test"] = restamped(values, clock.stamping.get(STAMPED_BY.get(name, "")))
+            job.fast[name, "test"] = restamped(values, clock.stamping.get(STAMP_EQUATIONS.get(name, "")))
     if volts is not None and clock.get("bus_voltage", "bench") is not None and job.plant.model.bench.bus_voltage:
         job.fast["bus_voltage", "bench"] = bus(job, volts)
     turned = job.record.mechanical == "coupled"  # by the load; in other set-ups the model does not include it
     if turned and job.load_velocity is not None and clock.get("velocity", "load") is not None:
-        job.fast["velocity", "load"] = filtered(job, job.load_velocity)
+        job.fast["velocity", "load"] = filtered_speed(job, job.load_velocity)
     for values in job.fast.values():
         values[: job.first + 1] = np.nan
 
@@ -54,7 +54,7 @@ def current(job: Job) -> Array | None:
     if job.current is None or job.current_mean is None:
         return None
     if ("q_axis_current", "test") in job.clock.means:
-        flowing = over_samples(job.current_mean, job.parts)
+        flowing = means_over_samples(job.current_mean, job.parts)
     else:
         flowing = job.current[:: job.parts]
     return job.plant.current_gain * flowing + job.plant.current_offset
@@ -66,16 +66,16 @@ def velocity(job: Job) -> Array:
     speed = job.velocity
     for error in job.plant.angle_error:
         speed = speed + (error(job.angle + job.step * job.velocity) - error(job.angle)) / job.step
-    return filtered(job, speed, job.plant.velocity_reading)
+    return filtered_speed(job, speed, job.plant.velocity_reading)
 
 
 def derived_speed(job: Job) -> Array:
     """Return the smoothed rate of the angle, for runs that record no velocity."""
     assert job.velocity is not None
-    return smooth(over_samples(job.velocity[: (len(job.clock.time) - 1) * job.parts], job.parts))
+    return smooth(means_over_samples(job.velocity[: (len(job.clock.time) - 1) * job.parts], job.parts))
 
 
-def filtered(job: Job, over_steps: Array, faults: Sequence[Becomes] = ()) -> Array:
+def filtered_speed(job: Job, over_steps: Array, faults: Sequence[Becomes] = ()) -> Array:
     """Return a speed over sub-steps after the sensor's errors and the model's velocity filter, at the samples."""
     total = (len(job.clock.time) - 1) * job.parts
     bandwidth = job.plant.model.bench.velocity_filter_bandwidth
@@ -97,7 +97,7 @@ def _from_starts(job: Job, steps: Array, through: Callable[[Array], Array]) -> A
     """Filter stretch by stretch; at each start the filter's state comes from the measured motion before it."""
     assert job.starts is not None
     past = np.repeat(measured_speed(job)[1:], job.parts)
-    reach = samples(REMEMBERED, job.plant.model.bench, job.clock.interval) * job.parts
+    reach = samples(FILTER_MEMORY, job.plant.model.bench, job.clock.interval) * job.parts
     filtered_steps = np.zeros_like(steps)
     edges = [*(int(start) * job.parts for start in job.starts), len(steps)]
     for begin, end in pairwise(edges):
@@ -162,9 +162,9 @@ def voltage(job: Job) -> Array | None:
         lost = lost + loses(job.current_mean)
     inductance = model.phase_inductance or 0.0
     if ("q_axis_voltage", "test") in job.clock.means:
-        flowing, turning = over_samples(job.current_mean, parts), over_samples(speed, parts)
+        flowing, turning = means_over_samples(job.current_mean, parts), means_over_samples(speed, parts)
         change = np.diff(job.current[::parts], prepend=job.current[0]) / job.clock.interval
-        return resistance * flowing + inductance * change + emf * turning + over_samples(lost, parts)
+        return resistance * flowing + inductance * change + emf * turning + means_over_samples(lost, parts)
     flowing = job.current[::parts]
     change = np.gradient(job.current, job.step)[::parts]
     turning = np.concatenate([speed[:1], 0.5 * (speed + np.append(speed[1:], speed[-1]))[parts - 1 :: parts]])
@@ -177,6 +177,6 @@ def bus(job: Job, volts: Array) -> Array:
     source, resistance = job.plant.model.bench.bus_voltage or 0.0, job.plant.bus_resistance
     if not resistance or job.current_mean is None:
         return np.full(len(volts), source)
-    power = volts * over_samples(job.current_mean, job.parts)
+    power = volts * means_over_samples(job.current_mean, job.parts)
     inner = np.maximum(source**2 - 4.0 * resistance * power, 0.0)
     return np.asarray(0.5 * (source + np.sqrt(inner)), np.float64)

@@ -59,7 +59,7 @@ def simulate(model_file: Path, run_file: Path, out: Path | None = None) -> Simul
     model, document = read_model(model_file)
     job = replay(read_record(run_file), model)
     notes = tuple(dict.fromkeys(job.notes))
-    made = answers(job)
+    made = replayed_channels(job)
     if not made:
         raise InputError([f"{model_file}: {note}" for note in notes] or [f"{model_file}: says nothing of {run_file}"])
     if job.restarts:
@@ -87,7 +87,7 @@ def simulate(model_file: Path, run_file: Path, out: Path | None = None) -> Simul
     )
 
 
-def answers(job: Job) -> dict[Key, tuple[Clocked, Array]]:
+def replayed_channels(job: Job) -> dict[Key, tuple[Clocked, Array]]:
     """Return every channel that a replay determines, with its clock, and the angle, which restarts with the motion."""
     replayed: dict[Key, tuple[Clocked, Array]] = {}
     for clock, channels in ((job.record.fast, job.fast), (job.record.slow, job.slow)):

@@ -8,12 +8,12 @@ import numpy.typing as npt
 from leactl.model.nominal import BenchModel, Model
 
 Array = npt.NDArray[np.float64]
-SERVO_STEP = 0.1  # of a servo's shortest time, that a step of its simulation may last
-SERVO_MEMORY = 6.0  # of a servo's longest time, after which it matters no more where it began
-PERIOD = 0.45  # usual interval, in periods of the fastest bandwidth: 6 % of a step is left after it
-STEPS, MOST_STEPS = 4, 80  # in a usual interval and in a sample at least, and in a sample at most
-LATEST = 12  # usual intervals by which a drive may follow late
-REMEMBERED = 200  # usual intervals of the motion before a start that filters may remember
+SERVO_STEP = 0.1  # longest step of a servo's simulation, as a share of the servo's shortest time
+SERVO_MEMORY = 6.0  # multiple of a servo's longest time after which its start has no influence
+USUAL_INTERVAL_PERIODS = 0.45  # usual interval in periods of the fastest bandwidth: 6 % of a step remain after it
+FEWEST_STEPS, MOST_STEPS = 4, 80  # fewest in a usual interval and in a sample, most in a sample
+MOST_DELAY = 12  # usual intervals by which a drive may follow late
+FILTER_MEMORY = 200  # usual intervals of the motion before a start that filters may remember
 
 
 def usual_interval(bench: BenchModel, interval: float) -> float:
@@ -23,7 +23,7 @@ def usual_interval(bench: BenchModel, interval: float) -> float:
     """
     named = (bench.current_loop_bandwidth, bench.velocity_filter_bandwidth, bench.torque_filter_bandwidth)
     bandwidths = [bandwidth for bandwidth in named if bandwidth is not None]
-    return PERIOD / max(bandwidths) if bandwidths else interval
+    return USUAL_INTERVAL_PERIODS / max(bandwidths) if bandwidths else interval
 
 
 def samples(intervals: int, bench: BenchModel, interval: float) -> int:
@@ -34,8 +34,8 @@ def samples(intervals: int, bench: BenchModel, interval: float) -> int:
 def steps_in_sample(bench: BenchModel, interval: float) -> int:
     """Steps of a replay from one sample to the next."""
     # a rounding error makes no further step
-    steps = math.ceil(STEPS * interval / usual_interval(bench, interval) - 1e-6)
-    return min(max(STEPS, steps), MOST_STEPS)
+    steps = math.ceil(FEWEST_STEPS * interval / usual_interval(bench, interval) - 1e-6)
+    return min(max(FEWEST_STEPS, steps), MOST_STEPS)
 
 
 def servo_times(model: Model, gain: Array, lightest: float, heaviest: float) -> tuple[float, float]:

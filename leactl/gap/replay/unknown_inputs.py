@@ -9,10 +9,10 @@ from leactl.gap.replay.job import Job
 from leactl.gap.signals.record import INTERPOLATION_REACH, Key, Mask, median_interval, near_stamps
 from leactl.gap.signals.rig import voltage_feed
 
-MOST_TOLD = 5  # stretches of a channel that a note gives
+MOST_LISTED = 5  # stretches of a channel that a note lists
 
 
-def unmeasured(job: Job, key: Key) -> Mask:
+def unmeasured_samples(job: Job, key: Key) -> Mask:
     """Return the samples at which a channel is interpolated over more than the usual reach."""
     if key not in job.clock.between:
         return np.zeros(len(job.clock.time), bool)
@@ -35,11 +35,11 @@ def driving_channels(job: Job) -> Iterator[tuple[Key, Mask]]:
     present = [key for key in keys if key in clock.values]
     if len(present) > 1:  # where the drive follows no reference, the measured current drives the replay
         reference, current = present
-        yield reference, unmeasured(job, reference) & unmeasured(job, current)
+        yield reference, unmeasured_samples(job, reference) & unmeasured_samples(job, current)
     elif present:
-        yield present[0], unmeasured(job, present[0])
+        yield present[0], unmeasured_samples(job, present[0])
     if job.record.mechanical == "coupled":
-        yield ("q_axis_current", "load"), unmeasured(job, ("q_axis_current", "load"))
+        yield ("q_axis_current", "load"), unmeasured_samples(job, ("q_axis_current", "load"))
 
 
 def unknown_samples(job: Job) -> tuple[Mask, list[str]]:
@@ -53,12 +53,12 @@ def unknown_samples(job: Job) -> tuple[Mask, list[str]]:
     for (quantity, role), missing in driving_channels(job):
         if missing.any():
             unknown |= missing
-            notes.append(f"{job.record.path.name}: {quantity} of {role} is missing {intervals(job, missing)}")
+            notes.append(f"{job.record.path.name}: {quantity} of {role} is missing {interval_text(job, missing)}")
     if job.restarts and job.starts is not None:
         measured = "angle" if clock.get("angle") is not None else "velocity"
-        lost = unmeasured(job, (measured, "test"))
+        lost = unmeasured_samples(job, (measured, "test"))
         if lost[job.starts[job.starts < len(lost)]].any():
-            notes.append(f"{job.record.path.name}: {measured} of test is missing {intervals(job, lost)}")
+            notes.append(f"{job.record.path.name}: {measured} of test is missing {interval_text(job, lost)}")
         for start, stop in zip(job.starts, [*job.starts[1:], len(unknown)], strict=True):
             part = unknown[start:stop]
             if lost[start:stop][:1].any():
@@ -68,9 +68,9 @@ def unknown_samples(job: Job) -> tuple[Mask, list[str]]:
     return unknown, [f"{note}; what the model makes is NaN there, until the motion starts again" for note in notes]
 
 
-def intervals(job: Job, missing: Mask) -> str:
+def interval_text(job: Job, missing: Mask) -> str:
     """Return the time stretches of some samples as text."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(np.intp), [0]]))).reshape(-1, 2)
     time = job.clock.time
-    texts = [f"from {time[begin]:.6g} to {time[end - 1]:.6g} s" for begin, end in edges[:MOST_TOLD]]
-    return ", ".join(texts) + (f" and in {len(edges) - MOST_TOLD} more stretches" if len(edges) > MOST_TOLD else "")
+    texts = [f"from {time[begin]:.6g} to {time[end - 1]:.6g} s" for begin, end in edges[:MOST_LISTED]]
+    return ", ".join(texts) + (f" and in {len(edges) - MOST_LISTED} more stretches" if len(edges) > MOST_LISTED else "")

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from leactl.gap.diagnosis import Shrinkage
 from leactl.gap.replay import replay_all
-from leactl.gap.replay.bearing import give_of
+from leactl.gap.replay.bearing import fitted_give
 from leactl.gap.replay.bench_of_model import plant_of
 from leactl.gap.replay.comparison import Compared, compare
 from leactl.gap.replay.job import Job
@@ -129,7 +129,7 @@ def simulate_again(
     The parameters are those of `shrinkage`; the floor is that of the last model.
     """
     plants = [plant_of(model) for model in models]
-    give = give_of(records, models[-1])
+    give = fitted_give(records, models[-1])
     for plant in plants:
         plant.give = give
     sets = []
