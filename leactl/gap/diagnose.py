@@ -30,7 +30,7 @@ from leactl.gap.search.stamp_fit import MOST_STAMP_DELAY
 from leactl.gap.servo import answer as servo_answer
 from leactl.gap.servo.effect_sets import fit_effect_sets
 from leactl.gap.servo.runs import runs_at_common_rate
-from leactl.gap.setup import SetUpFault, mended
+from leactl.gap.setup import SetUpFault, find_and_mend_faults
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.rig import DRIVE_CHANNELS, VOLTAGE_KIND, Array
 from leactl.gap.signals.setpoints import mark_setpoints, setpoint_notes
@@ -197,7 +197,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
 
 def mend_faults(case: Case) -> tuple[list[SetUpFault], Case]:
     """Return the faults of the set-up that the runs of a case show, and the case with mended runs."""
-    faults, records = mended([*case.fitted, *case.held_out], case.model, len(case.held_out))
+    faults, records = find_and_mend_faults([*case.fitted, *case.held_out], case.model, len(case.held_out))
     return faults, case.of_records(records) if faults else case
 
 

@@ -12,7 +12,7 @@ from leactl.gap.replay import replay
 from leactl.gap.search.parameters import with_effects
 from leactl.gap.servo.effect_sets import fit_effect_sets
 from leactl.gap.servo.profile import profile, shifted
-from leactl.gap.setup import mended
+from leactl.gap.setup import find_and_mend_faults
 from leactl.model.nominal import Model, read_model
 from tests.gap import servos
 
@@ -85,7 +85,7 @@ def test_nothing_is_found_at_a_sound_servo(volts):
 def test_a_servo_s_voltage_that_rests_or_stands_at_its_limit_is_no_fault_of_the_set_up():
     servo, random = drawn(7, "sound", seconds=6.0)
     case = servos.case(servo, random, kinds=("steps",))
-    faults, _ = mended([*case.fitted, *case.held_out], case.model)
+    faults, _ = find_and_mend_faults([*case.fitted, *case.held_out], case.model)
     assert list(faults) == []
 
 

@@ -12,14 +12,14 @@ from leactl.gap.setup import (
     clock_faults,
     conventions,
     faulty_samples,
+    find_and_mend_faults,
     hypotheses,
-    mended,
     relations,
     swapped_channels,
 )
 from leactl.gap.setup.conventions import convention
 from leactl.gap.setup.expected_channels import direct_pairs, modelled_pairs
-from leactl.gap.setup.faulty_samples import at_ends, period_of
+from leactl.gap.setup.faulty_samples import period_of, samples_at_ends
 from leactl.gap.signals.record import Clocked, build_record
 from leactl.joints.make import draw_machines, draw_runs
 from leactl.quantities import UNITS
@@ -87,16 +87,18 @@ def cases():
 def test_a_fault_is_named_by_itself_and_mended(cases, name):
     quantities, spoil, expected = SPOILT[name]
     for joint, given in cases:
-        faults, records = mended([*(bad := spoilt(given, joint, quantities, spoil)).fitted, *bad.held_out], given.model)
+        faults, records = find_and_mend_faults(
+            [*(bad := spoilt(given, joint, quantities, spoil)).fitted, *bad.held_out], given.model
+        )
         assert [(fault.name, fault.key[0]) for fault in faults] == [expected]
         assert faults[0].probability > 0.9
         assert not faults[0].shrinks or faults[0].share > 0.9  # else samples are left out, and no gap has to go
-        assert mended(records, given.model)[0] == []
+        assert find_and_mend_faults(records, given.model)[0] == []
 
 
 def test_a_sound_joint_has_no_fault(cases):
     for _, given in cases:
-        assert mended([*given.fitted, *given.held_out], given.model)[0] == []
+        assert find_and_mend_faults([*given.fitted, *given.held_out], given.model)[0] == []
 
 
 def test_a_fault_is_the_first_cause_with_its_change_and_what_is_left_is_sound(cases):
@@ -130,9 +132,9 @@ def test_a_factor_is_told_as_the_convention_it_equals(factor, name):
 def test_a_rest_before_a_motion_to_one_side_is_no_end_of_a_range():
     time = np.linspace(0.0, 5.0, 1000)
     speed = -np.clip(time - 0.5, 0.0, None) * (1.0 + 0.01 * np.random.default_rng(1).standard_normal(1000))
-    assert not at_ends(clocked(time, speed), VELOCITY).any()
+    assert not samples_at_ends(clocked(time, speed), VELOCITY).any()
     clipped = np.maximum(speed, -3.0)
-    assert at_ends(clocked(time, clipped), VELOCITY).sum() > 200
+    assert samples_at_ends(clocked(time, clipped), VELOCITY).sum() > 200
 
 
 def clocked(time, speed):
@@ -160,29 +162,33 @@ def test_a_reference_that_holds_a_level_is_not_frozen(cases):
 
     levels = replace(given, fitted=[given.fitted[1]], held_out=[given.held_out[1]])
     both = spoilt(levels, joint, ["q_axis_current", "q_axis_current_reference"], held)
-    assert faulty_samples.frozen([*both.fitted, *both.held_out], given.model) is None
+    assert faulty_samples.find_frozen_channel([*both.fitted, *both.held_out], given.model) is None
 
 
 def test_the_page_has_the_numbers_of_the_code():
     page = re.sub(r"\s+", " ", (DOCS / "explanation" / "gap.md").read_text(encoding="utf-8"))
-    assert f"stands still over {100 * faulty_samples.FROZEN:.0f} % of a run" in page
-    assert f"| {100 * faulty_samples.REPEATED:.0f} % of a measured channel" in page
-    assert f"| {100 * faulty_samples.TOPPED:.0f} % of a measured channel stands at its end" in page
-    assert f"explains {hypotheses.SURPRISE:.0f} squares of standard deviations" in page
-    assert f"and {100 * hypotheses.EXPLAINS:.0f} % of what a channel is off by" in page
-    assert f"leaves no factor beyond {hypotheses.LEFT:.0f} of them" in page
-    assert f"within {hypotheses.RIVAL:.0f} of the best" in page
-    assert f"whole number up to {conventions.MOST_POLES}" in page
-    usual = relations.USUAL
-    told = (relations.TIGHT, relations.CONSTANT, usual["inertia"], usual["friction"], usual["damping"])
+    assert f"stands still over {100 * faulty_samples.LEAST_FROZEN_SHARE:.0f} % of a run" in page
+    assert f"| {100 * faulty_samples.MOST_REPEATED_SHARE:.0f} % of a measured channel" in page
+    assert f"| {100 * faulty_samples.LEAST_CLIPPED_SHARE:.0f} % of a measured channel stands at its end" in page
+    assert f"explains {hypotheses.LEAST_EXPLAINED_SQUARES:.0f} squares of standard deviations" in page
+    assert f"and {100 * hypotheses.LEAST_EXPLAINED_SHARE:.0f} % of what a channel is off by" in page
+    assert f"leaves no factor beyond {hypotheses.MOST_RESIDUAL_STDS:.0f} of them" in page
+    assert f"within {hypotheses.MOST_RIVAL_COST:.0f} of the best" in page
+    assert f"whole number up to {conventions.MOST_POLE_PAIRS}" in page
+    usual = relations.FACTOR_STDS
+    told = (relations.TIGHT_STD, relations.CONSTANT_STD, usual["inertia"], usual["friction"], usual["damping"])
     words = (
         "Usual are {:.0%} between two channels that say the same, {:.0%} of the torque constant, {:.0%} of inertia and"
     )
     words += " resistance, {:.0%} of friction, {:.0%} of damping"
     assert words.format(*told).replace("%", " %") in page
     assert usual["inertia"] == usual["resistance"]
-    assert f"later, or earlier, by {2 * clock_faults.SAMPLE:.0f} samples or more" in page
-    assert (swapped_channels.MOST, swapped_channels.CLEANER, clock_faults.MOST_LEAPS) == (0.5, 0.1, 4)
+    assert f"later, or earlier, by {2 * clock_faults.STAMP_ERROR:.0f} samples or more" in page
+    assert (swapped_channels.LEAST_SWAPPED_SHARE, swapped_channels.MOST_CLEAN_RATIO, clock_faults.MOST_LEAPS) == (
+        0.5,
+        0.1,
+        4,
+    )
 
 
 def test_a_fault_is_not_named_where_an_effect_explains_the_runs_as_they_were_logged(tmp_path):

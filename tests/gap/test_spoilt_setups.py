@@ -10,7 +10,7 @@ import pytest
 from leactl.emulation.blind.make import make as make_benches
 from leactl.errors import InputError
 from leactl.gap.diagnose import diagnose, read_case
-from leactl.gap.setup import mended
+from leactl.gap.setup import find_and_mend_faults
 from leactl.gap.signals.record import Record
 from leactl.joints.make import make as make_joints
 from tests.gap.joints import SOUND, Effect, Log, case, drawn_joint, drawn_log
@@ -64,7 +64,7 @@ def everywhere(given, spoil):
 
 
 def faults_of(given):
-    return mended([*given.fitted, *given.held_out], given.model, len(given.held_out))[0]
+    return find_and_mend_faults([*given.fitted, *given.held_out], given.model, len(given.held_out))[0]
 
 
 @pytest.mark.parametrize("name", PLANTED)
@@ -80,7 +80,7 @@ def test_a_fault_is_named_with_its_class_and_what_mending_takes(joint_case, name
 def test_one_turned_run_of_six_is_told_and_mended_alone(joint_case):
     turn = on_values(VELOCITY, lambda v: -v)
     given = replace(joint_case, fitted=[turn(joint_case.fitted[0]), *joint_case.fitted[1:]])
-    faults, records = mended([*given.fitted, *given.held_out], given.model)
+    faults, records = find_and_mend_faults([*given.fitted, *given.held_out], given.model)
     assert [(one.name, one.key[0]) for one in faults] == [("channel_sign", "velocity")]
     assert "in 1 of 6 runs" in faults[0].evidence
     sound = [*joint_case.fitted, *joint_case.held_out]
@@ -108,14 +108,14 @@ def test_a_reference_without_a_response_names_no_scale_and_no_swap(joint_case):
         with_values(one, q_axis_current=1e-3 * random.standard_normal(len(one.fast.time)), velocity=0.0 * one.fast.time)
         for one in [*joint_case.fitted, *joint_case.held_out]
     ]
-    assert {fault.name for fault in mended(still, joint_case.model)[0]} <= {"frozen_channel"}
+    assert {fault.name for fault in find_and_mend_faults(still, joint_case.model)[0]} <= {"frozen_channel"}
 
 
 def test_runs_of_two_machines_name_no_fault(joint_case):
     random = np.random.default_rng(29)
     other = case(drawn_joint(random), Log(), random)
     others = [replace(record, path=record.path.with_name(f"other-{record.path.name}")) for record in other.fitted]
-    assert mended([*joint_case.fitted, *others], joint_case.model)[0] == []
+    assert find_and_mend_faults([*joint_case.fitted, *others], joint_case.model)[0] == []
 
 
 def test_a_model_without_parameters_still_tells_what_two_channels_disagree_in(joint_case):

@@ -21,20 +21,20 @@ from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
 DRIFT, DROPPED = "clock_drift", "dropped_samples"
-SEEN = 0.99  # probability of such a fault
-FEWEST = 5  # stretches of a run
-STEADY = 5.0  # standard errors of a drift or a leap
-SAMPLE = (
+FAULT_PROBABILITY = 0.99  # probability of a fault of a clock
+FEWEST_STRETCHES = 5  # stretches of a run that show a lateness
+LEAST_DRIFT_STDS = 5.0  # standard errors of a drift, or of an offset
+STAMP_ERROR = (
     1.0  # that a stamp may be off by where nothing promises it; a drift over the run, an offset and a leap are more
 )
-FOLLOWS = 0.2  # largest scatter of stretches about a drift, as a share of its total
-MENDS = 0.5  # smallest share of a channel's squared error that a corrected clock removes
-ALIKE = 0.5  # largest difference between the drifts of runs, as a share of a drift
-QUIET = 2.0  # largest error of a channel in time, over its noise
-MOST_LEAPS = 4
-CAPPED = 9.0  # squared standard errors that one stretch costs at most: a leap may lie within it
-BETTER = 10.0  # squared standard errors by which leaps have to fit better than a drift
-STRETCHES = 32
+MOST_SCATTER_SHARE = 0.2  # scatter of stretches about a drift, as a share of its total
+LEAST_MENDED_SHARE = 0.5  # smallest share of a channel's squared error that a corrected clock removes
+MOST_DRIFT_DIFFERENCE = 0.5  # largest difference between the drifts of runs, as a share of a drift
+MOST_QUIET_ERROR = 2.0  # error of a channel over its noise, up to which its clock is right
+MOST_LEAPS = 4  # leaps in a run
+MOST_STRETCH_COST = 9.0  # squared standard errors that one stretch costs at most: a leap may lie within it
+LEAST_LEAP_GAIN = 10.0  # squared standard errors by which leaps have to fit better than a drift
+STRETCHES = 32  # stretches of a run
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class LatenessCourse:
         return np.asarray(late, np.float64)
 
 
-def out_of_time(records: Sequence[Record], model: Model) -> SetUpFault | None:
+def find_clock_fault(records: Sequence[Record], model: Model) -> SetUpFault | None:
     """Return the clock fault of the channel that shows it in most runs, if any channel does."""
     courses: dict[Key, dict[str, LatenessCourse]] = {}
     drifting_pairs: dict[Key, list[tuple[Record, ExpectedChannel, Lateness]]] = {}
@@ -63,19 +63,19 @@ def out_of_time(records: Sequence[Record], model: Model) -> SetUpFault | None:
         for pair in direct_pairs(record, model):
             assert record.fast is not None
             pair_counts[pair.key] = pair_counts.get(pair.key, 0) + 1
-            if in_time(pair):
+            if is_in_time(pair):
                 continue
             stretches = lateness(pair.measured, pair.expected, record.fast.all_valid(*pair.inputs), STRETCHES)
-            if len(stretches.late) >= FEWEST:
+            if len(stretches.late) >= FEWEST_STRETCHES:
                 drifting_pairs.setdefault(pair.key, []).append((record, pair, stretches))
     for key, group in drifting_pairs.items():
         leaps = {
             record.name: course
             for record, pair, stretches_of_pair in group
-            if (course := leaping(record, pair, stretches_of_pair))
+            if (course := leap_course(record, pair, stretches_of_pair))
         }
         # a wrong clock acts in every run and shows in most; samples may be lost in a single one
-        runs_off = drifting(group) if 2 * len(leaps) < len(group) and 2 * len(group) >= pair_counts[key] else {}
+        runs_off = drift_courses(group) if 2 * len(leaps) < len(group) and 2 * len(group) >= pair_counts[key] else {}
         if fault := runs_off or leaps:
             courses[key] = fault
     if not courses:
@@ -84,7 +84,7 @@ def out_of_time(records: Sequence[Record], model: Model) -> SetUpFault | None:
     return fault_of(key, drifting_pairs[key][0][1].reference_label, courses[key], records)
 
 
-def in_time(pair: ExpectedChannel) -> bool:
+def is_in_time(pair: ExpectedChannel) -> bool:
     """Return whether a channel follows its companion with one lag that is not negative, and to within its noise."""
     width = width_of(pair.expected)
     expected = smooth(pair.expected, width)
@@ -93,23 +93,24 @@ def in_time(pair: ExpectedChannel) -> bool:
     residual = pair.measured - solved[0] * pair.expected
     noise = noise_of(residual) / np.sqrt(np.sqrt(4.0 * np.pi) * width)
     smooth_residual = smooth(pair.measured, width) - columns @ solved
-    early = solved[1] < -SAMPLE * abs(solved[0])
-    return not early and float(np.std(smooth_residual)) < QUIET * noise
+    early = solved[1] < -STAMP_ERROR * abs(solved[0])
+    return not early and float(np.std(smooth_residual)) < MOST_QUIET_ERROR * noise
 
 
-def drifting(group: Sequence[tuple[Record, ExpectedChannel, Lateness]]) -> dict[str, LatenessCourse]:
+def drift_courses(group: Sequence[tuple[Record, ExpectedChannel, Lateness]]) -> dict[str, LatenessCourse]:
     """Return the courses of runs in which a channel drifts alike, or is early; empty where it does neither."""
-    lines = {record.name: line(stretches) for record, _, stretches in group}
+    lines = {record.name: fit_line(stretches) for record, _, stretches in group}
     known = {
         run: course for run, (course, error, scatter, count) in lines.items() if drifts(course, error, scatter, count)
     }
     speeds = [course.drift for course in known.values()]
-    agreed = known and float(np.ptp(speeds)) <= ALIKE * float(np.min(np.abs(speeds)))
+    agreed = known and float(np.ptp(speeds)) <= MOST_DRIFT_DIFFERENCE * float(np.min(np.abs(speeds)))
     unsteady_runs = [run for run in lines if run not in known]
     contradicted = [
         run
         for run in unsteady_runs
-        if agreed and abs(lines[run][0].drift - np.mean(speeds)) > STEADY * lines[run][1] + 0.3 * abs(np.mean(speeds))
+        if agreed
+        and abs(lines[run][0].drift - np.mean(speeds)) > LEAST_DRIFT_STDS * lines[run][1] + 0.3 * abs(np.mean(speeds))
     ]
     if agreed and not contradicted and len(known) >= max(len(lines) // 2, 1):
         courses = {
@@ -120,9 +121,9 @@ def drifting(group: Sequence[tuple[Record, ExpectedChannel, Lateness]]) -> dict[
     offsets = {record.name: (stretches.mean(), pair, record) for record, pair, stretches in group}
     early, late = 0, 0
     for (mean, error), pair, record in offsets.values():
-        allowed = SAMPLE * (2.0 if set(pair.inputs) & unstamped(record) else 1.0)
-        early += mean - pair.expected_delay + STEADY * error < -allowed
-        late += mean - pair.expected_delay - STEADY * error > -allowed
+        allowed = STAMP_ERROR * (2.0 if set(pair.inputs) & unstamped_channels(record) else 1.0)
+        early += mean - pair.expected_delay + LEAST_DRIFT_STDS * error < -allowed
+        late += mean - pair.expected_delay - LEAST_DRIFT_STDS * error > -allowed
     if 2 * early > len(offsets) and not late:
         courses = {
             run: LatenessCourse(mean - pair.expected_delay, 0.0) for run, ((mean, _), pair, _) in offsets.items()
@@ -131,12 +132,12 @@ def drifting(group: Sequence[tuple[Record, ExpectedChannel, Lateness]]) -> dict[
     return {}
 
 
-def unstamped(record: Record) -> set[Key]:
+def unstamped_channels(record: Record) -> set[Key]:
     """Return the channels of a run whose file does not say what a stamp means."""
     return set() if record.fast is None else record.fast.unstamped
 
 
-def line(stretches: Lateness) -> tuple[LatenessCourse, float, float, float]:
+def fit_line(stretches: Lateness) -> tuple[LatenessCourse, float, float, float]:
     """Fit a line to the lateness of stretches; return it, the error of its drift, its scatter and its span."""
     columns = np.stack([np.ones(len(stretches.late)), stretches.middle], axis=1) / stretches.error[:, None]
     solved, *_ = np.linalg.lstsq(columns, stretches.late / stretches.error, rcond=None)
@@ -154,31 +155,38 @@ def line(stretches: Lateness) -> tuple[LatenessCourse, float, float, float]:
 def drifts(course: LatenessCourse, error: float, scatter: float, span: float) -> bool:
     """Return whether a channel drifts by more than two samples over its run, significantly and along a line."""
     total = abs(course.drift) * span
-    return total > 2.0 * SAMPLE and abs(course.drift) > STEADY * error and scatter < FOLLOWS * total
+    return (
+        total > 2.0 * STAMP_ERROR
+        and abs(course.drift) > LEAST_DRIFT_STDS * error
+        and scatter < MOST_SCATTER_SHARE * total
+    )
 
 
-def leaping(record: Record, pair: ExpectedChannel, stretches: Lateness) -> LatenessCourse | None:
+def leap_course(record: Record, pair: ExpectedChannel, stretches: Lateness) -> LatenessCourse | None:
     """Return the course of a channel that becomes earlier in leaps and stays so; None where it does not."""
     error = np.maximum(stretches.error, float(np.median(np.abs(np.diff(stretches.late)))) + 0.05)
     steps = leaps_of(stretches.late, error)
     if not steps or len(steps) > MOST_LEAPS:
         return None
-    drift_line = line(stretches)[0]
+    drift_line = fit_line(stretches)[0]
     drift_misfit = float(
         np.sum(
-            np.minimum(((stretches.late - drift_line.start - drift_line.drift * stretches.middle) / error) ** 2, CAPPED)
+            np.minimum(
+                ((stretches.late - drift_line.start - drift_line.drift * stretches.middle) / error) ** 2,
+                MOST_STRETCH_COST,
+            )
         )
     )
     levels = np.split(stretches.late, steps)
     medians = [float(np.median(level)) for level in levels]
     level_misfit = sum(
-        float(np.sum(np.minimum(((level - middle) / part) ** 2, CAPPED)))
+        float(np.sum(np.minimum(((level - middle) / part) ** 2, MOST_STRETCH_COST)))
         for level, middle, part in zip(levels, medians, np.split(error, steps), strict=True)
     )
     heights = np.diff(medians)
     if (
-        (heights > -2.0 * SAMPLE).any()
-        or drift_misfit - level_misfit < BETTER
+        (heights > -2.0 * STAMP_ERROR).any()
+        or drift_misfit - level_misfit < LEAST_LEAP_GAIN
         or min(len(level) for level in levels[1:]) < 2
     ):
         return None
@@ -186,7 +194,7 @@ def leaping(record: Record, pair: ExpectedChannel, stretches: Lateness) -> Laten
     samples = [int(0.5 * (stretches.middle[step - 1] + stretches.middle[step])) for step in steps]
     start = medians[0]
     leaps = tuple((sample, float(round(height))) for sample, height in zip(samples, heights.tolist(), strict=True))
-    course = LatenessCourse(0.0, 0.0, refined(record, pair, start, leaps))
+    course = LatenessCourse(0.0, 0.0, refine_leaps(record, pair, start, leaps))
     return course if mends([(record, pair, stretches)], {record.name: course}) else None
 
 
@@ -196,9 +204,9 @@ def leaps_of(late: Array, error: Array) -> list[int]:
 
     def cost(begin: int, end: int) -> float:
         part = late[begin:end]
-        return float(np.sum(np.minimum(((part - np.median(part)) / error[begin:end]) ** 2, CAPPED)))
+        return float(np.sum(np.minimum(((part - np.median(part)) / error[begin:end]) ** 2, MOST_STRETCH_COST)))
 
-    penalty = 2.0 * BETTER
+    penalty = 2.0 * LEAST_LEAP_GAIN
     best, cut = [0.0] + [np.inf] * count, [0] * (count + 1)
     for end in range(1, count + 1):
         for begin in range(end):
@@ -213,7 +221,7 @@ def leaps_of(late: Array, error: Array) -> list[int]:
     return sorted(steps)
 
 
-def refined(
+def refine_leaps(
     record: Record, pair: ExpectedChannel, start: float, leaps: tuple[tuple[int, float], ...]
 ) -> tuple[tuple[int, float], ...]:
     """Move each leap to the sample with the smallest squared residual."""
@@ -239,8 +247,11 @@ def mends(
     courses: Mapping[str, LatenessCourse],
     steady: bool = True,
 ) -> bool:
-    """Return whether the median gain of the runs with corrected clocks is at least `MENDS`."""
-    return float(np.median([gain_of(pair, courses[record.name], steady) for record, pair, _ in group])) >= MENDS
+    """Return whether the median gain of the runs with corrected clocks is at least `LEAST_MENDED_SHARE`."""
+    return (
+        float(np.median([gain_of(pair, courses[record.name], steady) for record, pair, _ in group]))
+        >= LEAST_MENDED_SHARE
+    )
 
 
 def gain_of(pair: ExpectedChannel, course: LatenessCourse, steady: bool) -> float:
@@ -257,11 +268,14 @@ def gain_of(pair: ExpectedChannel, course: LatenessCourse, steady: bool) -> floa
         reads = smooth(reads, width)
         return float(np.sum((reads - columns @ np.linalg.lstsq(columns, reads, rcond=1e-10)[0]) ** 2))
 
-    squares_before, squares_after = residual_squares(pair.measured), residual_squares(put_right(pair.measured, course))
+    squares_before, squares_after = (
+        residual_squares(pair.measured),
+        residual_squares(without_lateness(pair.measured, course)),
+    )
     return 1.0 - squares_after / squares_before if squares_before > 0.0 else 0.0
 
 
-def put_right(values: Array, course: LatenessCourse) -> Array:
+def without_lateness(values: Array, course: LatenessCourse) -> Array:
     """Return a channel with its lateness removed; the end values are held beyond its ends."""
     samples = np.arange(len(values), dtype=np.float64)
     return np.asarray(np.interp(samples + course.late(len(values)), samples, values), np.float64)
@@ -270,7 +284,7 @@ def put_right(values: Array, course: LatenessCourse) -> Array:
 def fault_of(key: Key, against: str, courses: Mapping[str, LatenessCourse], records: Sequence[Record]) -> SetUpFault:
     """Return the fault of a channel's clock, with its evidence, its parameters and its mend."""
     intervals = {record.name: record.fast.interval for record in records if record.fast is not None}
-    mend = partial(with_clock, key=key, courses=courses)
+    mend = partial(with_corrected_clock, key=key, courses=courses)
     within = "" if len(courses) == len(records) else f" in {len(courses)} of {len(records)} runs"
     if any(course.leaps for course in courses.values()):
         lost = {run: -sum(height for _, height in course.leaps) for run, course in courses.items()}
@@ -281,7 +295,7 @@ def fault_of(key: Key, against: str, courses: Mapping[str, LatenessCourse], reco
         )
         change = "stamp each sample when it is taken, and log a lost one as NaN: no line of a mapping puts it back"
         return SetUpFault(
-            DROPPED, key, SEEN, evidence, change, mend, (EffectParameter("samples_lost", most, 0.5, "1"),)
+            DROPPED, key, FAULT_PROBABILITY, evidence, change, mend, (EffectParameter("samples_lost", most, 0.5, "1"),)
         )
     drift = float(np.median([course.drift for course in courses.values()]))
     offset = float(np.median([course.start * intervals[run] for run, course in courses.items()]))
@@ -291,10 +305,10 @@ def fault_of(key: Key, against: str, courses: Mapping[str, LatenessCourse], reco
         f", and its `step_s` or `rate_Hz` by the factor {1.0 - drift:.8g}" if drift else ""
     )
     parameters = (EffectParameter("offset", offset, 0.0, "s"), EffectParameter("drift", drift, 0.0, "1"))
-    return SetUpFault(DRIFT, key, SEEN, evidence, change, mend, parameters)
+    return SetUpFault(DRIFT, key, FAULT_PROBABILITY, evidence, change, mend, parameters)
 
 
-def with_clock(record: Record, key: Key, courses: Mapping[str, LatenessCourse]) -> Record:
+def with_corrected_clock(record: Record, key: Key, courses: Mapping[str, LatenessCourse]) -> Record:
     """Return a record with the lateness of a channel removed; samples beyond its ends become invalid."""
     clock, course = record.fast, courses.get(record.name)
     if clock is None or course is None or key not in clock.values:
@@ -302,6 +316,6 @@ def with_clock(record: Record, key: Key, courses: Mapping[str, LatenessCourse]) 
     late = course.late(len(clock.time))
     stamps = np.arange(len(late)) + late
     inside = (stamps >= 0.0) & (stamps <= len(late) - 1.0)
-    shifted = with_values(record, key, put_right(clock.values[key], course))
+    shifted = with_values(record, key, without_lateness(clock.values[key], course))
     assert shifted.fast is not None
     return replace(shifted, fast=replace(shifted.fast, valid=clock.valid | {key: clock.valid[key] & inside}))

@@ -61,7 +61,7 @@ def with_values(record: Record, key: Key, values: Array) -> Record:
     return replace(record, fast=replace(clock, values=clock.values | {key: values}, between=between))
 
 
-def left_out(record: Record, key: Key, masks: Mapping[str, Mask]) -> Record:
+def without_samples(record: Record, key: Key, masks: Mapping[str, Mask]) -> Record:
     """Return a record without the masked samples of a channel, or without the channel if all are masked."""
     clock, mask = record.fast, masks.get(record.name)
     if clock is None or mask is None or key not in clock.values:

@@ -3,7 +3,7 @@
 import math
 from fractions import Fraction
 
-CURRENTS = {
+CURRENT_FACTORS = {
     "2/3": 2.0 / 3.0,
     "3/2": 1.5,
     "sqrt(3/2)": math.sqrt(1.5),
@@ -14,7 +14,7 @@ CURRENTS = {
     "1/sqrt(3)": math.sqrt(1.0 / 3.0),
 }
 """Of currents, voltages and torque constants: power or amplitude, peak or effective value, line or phase."""
-UNITS = {
+UNIT_FACTORS = {
     "1000": 1000.0,
     "1/1000": 1e-3,
     "pi/180": math.pi / 180.0,
@@ -24,34 +24,44 @@ UNITS = {
     "1/(2 pi)": 0.5 / math.pi,
     "2 pi": 2.0 * math.pi,
 }
-FACTORS = CURRENTS | UNITS
+FACTORS = CURRENT_FACTORS | UNIT_FACTORS
 STEPS_OF_TIME = {"1000": 1000.0, "1/1000": 1e-3, "1000000": 1e6, "1/1000000": 1e-6, "60": 60.0, "1/60": 1.0 / 60.0}
-NEAR = 0.06  # largest difference of logarithms between a factor and its convention
-MOST_RATE, MOST_POLES, WHOLE = 10, 64, 0.25
+CONVENTION_TOLERANCE = 0.06  # largest difference of logarithms between a factor and its convention
+MOST_RATE_DENOMINATOR = 10  # of a ratio of two rates
+MOST_POLE_PAIRS = 64
+WHOLE_TOLERANCE = 0.25  # distance of a factor from a whole number: a quarter of that between two of them
 
 
 def convention(factor: float, error: float = 0.0) -> str:
     """Return the name of the convention that a factor equals within its error; empty where it equals none."""
     size = abs(factor)
     nearest = min(FACTORS, key=lambda name: abs(math.log(size / FACTORS[name])))
-    return ("-" if factor < 0.0 else "") + nearest if abs(math.log(size / FACTORS[nearest])) < NEAR + error else ""
+    return (
+        ("-" if factor < 0.0 else "") + nearest
+        if abs(math.log(size / FACTORS[nearest])) < CONVENTION_TOLERANCE + error
+        else ""
+    )
 
 
-def step_of_time(factor: float, error: float) -> str:
+def time_unit(factor: float, error: float) -> str:
     """Return the unit or ratio of rates that a factor of time equals; empty where it is neither."""
     nearest = min(STEPS_OF_TIME, key=lambda name: abs(math.log(factor / STEPS_OF_TIME[name])))
-    if abs(math.log(factor / STEPS_OF_TIME[nearest])) < NEAR + error:
+    if abs(math.log(factor / STEPS_OF_TIME[nearest])) < CONVENTION_TOLERANCE + error:
         return nearest
-    ratio = Fraction(factor).limit_denominator(MOST_RATE)
-    if 1 in (ratio.numerator, ratio.denominator) and ratio and abs(math.log(factor / float(ratio))) < NEAR + error:
+    ratio = Fraction(factor).limit_denominator(MOST_RATE_DENOMINATOR)
+    if (
+        1 in (ratio.numerator, ratio.denominator)
+        and ratio
+        and abs(math.log(factor / float(ratio))) < CONVENTION_TOLERANCE + error
+    ):
         return str(ratio)
     return ""
 
 
-def whole(factor: float, error: float) -> int | None:
-    """Return the whole number, 2 to `MOST_POLES`, that a factor or its inverse equals; None if it equals none."""
+def whole_number(factor: float, error: float) -> int | None:
+    """Return the whole number, 2 to `MOST_POLE_PAIRS`, that a factor or its inverse equals; None if it equals none."""
     larger = max(factor, 1.0 / factor)
     number = round(larger)
-    tolerance = WHOLE / max(number, 1)  # half-way to the next whole number, and half of that again
-    determined = 2 <= number <= MOST_POLES and error < tolerance
+    tolerance = WHOLE_TOLERANCE / max(number, 1)  # half-way to the next whole number, and half of that again
+    determined = 2 <= number <= MOST_POLE_PAIRS and error < tolerance
     return number if determined and abs(math.log(larger / number)) < tolerance + error else None

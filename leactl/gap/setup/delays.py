@@ -12,13 +12,13 @@ from leactl.gap.signals.smoothing import slope, smooth
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Places = npt.NDArray[np.intp]
-STRETCHES = 16  # of a run
-FEWEST = 60  # samples of a stretch
-FOLLOWS = 0.9  # smallest share of a stretch's variance that the shifted other channel explains
-TELLS = 0.3  # samples, largest standard error of a stretch that counts
-WIDTH = 3.0  # samples of smoothing
-ROUNDS = 4
-REACH = 0.25  # largest shift that is searched, as a share of a stretch
+STRETCHES = 16  # stretches of a run
+FEWEST_STRETCH_SAMPLES = 60  # samples of a stretch
+LEAST_EXPLAINED_SHARE = 0.9  # smallest share of a stretch's variance that the shifted other channel explains
+MOST_SHIFT_ERROR = 0.3  # samples, largest standard error of a stretch that counts
+LEAST_WIDTH = 3.0  # samples of smoothing
+REFINEMENT_ROUNDS = 4  # Gauss-Newton steps
+MOST_SHIFT_SHARE = 0.25  # largest shift that is searched, as a share of a stretch
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,10 @@ class Lateness:
 def lateness(reads: Array, expected: Array, valid: Mask, count: int = STRETCHES) -> Lateness:
     """Return how late `reads` is against `expected`, in each of `count` stretches of a run."""
     length = len(reads) // count
-    if length < FEWEST:
-        count = max(len(reads) // FEWEST, 1)
+    if length < FEWEST_STRETCH_SAMPLES:
+        count = max(len(reads) // FEWEST_STRETCH_SAMPLES, 1)
         length = len(reads) // count
-    width = max(WIDTH, width_of(expected))
+    width = max(LEAST_WIDTH, width_of(expected))
     reads, expected = smooth(reads, width), smooth(expected, width)
     delays = []
     shift = 0.0
@@ -62,7 +62,7 @@ def lateness(reads: Array, expected: Array, valid: Mask, count: int = STRETCHES)
 
 def width_of(values: Array) -> float:
     """Return the smoothing [samples] that makes the noise of a channel's slope small, up to a tenth of a stretch."""
-    width, noise = WIDTH, noise_of(values)
+    width, noise = LEAST_WIDTH, noise_of(values)
     while width < len(values) / STRETCHES / 10.0 and noise / width**1.5 > 0.05 * float(
         np.std(np.diff(smooth(values, width)))
     ):
@@ -79,14 +79,14 @@ def shift_of(
     stamps = np.arange(len(expected), dtype=np.float64)
     if not valid[begin:end].all() or float(np.ptp(reads[samples])) == 0.0 or float(np.ptp(expected[samples])) == 0.0:
         return None
-    margin = int(REACH * (end - begin))
-    near_shift = refined(reads, expected, samples, stamps, start_shift, width, margin)
-    return near_shift or refined(
-        reads, expected, samples, stamps, roughly(reads, expected, samples, margin), width, margin
+    margin = int(MOST_SHIFT_SHARE * (end - begin))
+    near_shift = refined_shift(reads, expected, samples, stamps, start_shift, width, margin)
+    return near_shift or refined_shift(
+        reads, expected, samples, stamps, rough_shift(reads, expected, samples, margin), width, margin
     )
 
 
-def roughly(reads: Array, expected: Array, samples: Places, margin: int) -> float:
+def rough_shift(reads: Array, expected: Array, samples: Places, margin: int) -> float:
     """Return the shift with the largest correlation, to the spacing of the samples."""
     spacing = int(samples[1] - samples[0])
     steps_before, steps_after = (
@@ -101,7 +101,7 @@ def roughly(reads: Array, expected: Array, samples: Places, margin: int) -> floa
     return float((steps_before - int(np.argmax(correlation))) * spacing)
 
 
-def refined(
+def refined_shift(
     reads: Array, expected: Array, samples: Places, stamps: Array, late: float, width: float, margin: int
 ) -> tuple[float, float] | None:
     """Refine a shift to a fraction of a sample by Gauss-Newton steps; return it and its error, None if unclear."""
@@ -109,7 +109,7 @@ def refined(
     low, high = max(int(samples[0]) - 2 * margin, 0), int(samples[-1]) + 2 * margin
     expected, stamps = expected[low:high], stamps[low:high]
     fitted = (0.0, 0.0, 1.0)
-    for _ in range(ROUNDS):
+    for _ in range(REFINEMENT_ROUNDS):
         moved = np.interp(samples - late, stamps, expected)
         columns = np.stack(
             [moved, -slope_at(np.asarray(samples - late, np.float64), stamps, expected), np.ones(len(moved))], axis=1
@@ -128,7 +128,11 @@ def refined(
         error = float(np.sqrt(inverse[1, 1] * noise) / abs(solved[0]))
         fitted = (late, error, float(residual @ residual) / float(values @ values))
     late, error, unexplained = fitted
-    if abs(late) > margin or unexplained > 1.0 - FOLLOWS or error > TELLS * max(1.0, width / WIDTH):
+    if (
+        abs(late) > margin
+        or unexplained > 1.0 - LEAST_EXPLAINED_SHARE
+        or error > MOST_SHIFT_ERROR * max(1.0, width / LEAST_WIDTH)
+    ):
         return None
     return late, max(error, 1e-3)
 

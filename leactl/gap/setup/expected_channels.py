@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.setup.relations import SmoothedMotion, driving, motion_of, taken_of_voltage
+from leactl.gap.setup.relations import SmoothedMotion, motion_of, torque_of_current, voltage_for_motion
 from leactl.gap.signals.record import Clocked, Key, Record
 from leactl.gap.signals.smoothing import smooth
 from leactl.model.nominal import Model
@@ -40,25 +40,25 @@ def direct_pairs(record: Record, model: Model) -> Iterator[ExpectedChannel]:
     angle, current, reference = clock.get(*ANGLE), clock.get(*CURRENT), clock.get(*REFERENCE)
     if angle is not None and record.mechanical != "locked":
         angle_velocity = np.gradient(angle, clock.interval)
-        late = late_by(clock, bench.velocity_filter_bandwidth)
+        late = filter_delay(clock, bench.velocity_filter_bandwidth)
         for key in (VELOCITY, LOAD_VELOCITY) if record.mechanical == "coupled" else (VELOCITY,):
             if key in clock.values:
                 yield ExpectedChannel(key, "the angle", clock.values[key], angle_velocity, (key, ANGLE), late)
     if current is not None and reference is not None:
-        late = late_by(clock, bench.current_loop_bandwidth)
+        late = filter_delay(clock, bench.current_loop_bandwidth)
         yield ExpectedChannel(
             CURRENT, "its reference", current, reference, (CURRENT, REFERENCE), late, "q_axis_current"
         )
-    torque, expected_torque = clock.get(*TORQUE), driving(clock, model, record.mechanical)
+    torque, expected_torque = clock.get(*TORQUE), torque_of_current(clock, model, record.mechanical)
     if torque is not None and expected_torque is not None:
         motion = motion_of(clock) if record.mechanical == "coupled" else None
         if motion is not None:
-            expected_torque = fitted(torque, [expected_torque, *motion_columns(motion)])
-        late = late_by(clock, bench.torque_filter_bandwidth)
+            expected_torque = least_squares_fit(torque, [expected_torque, *motion_columns(motion)])
+        late = filter_delay(clock, bench.torque_filter_bandwidth)
         yield ExpectedChannel(TORQUE, "the current", torque, expected_torque, (TORQUE, CURRENT), late, "torque")
 
 
-def late_by(clock: Clocked, bandwidth: float | None) -> float:
+def filter_delay(clock: Clocked, bandwidth: float | None) -> float:
     """Return the delay in samples of a first-order filter with a bandwidth [Hz]."""
     return 0.0 if bandwidth is None else 1.0 / (2.0 * np.pi * bandwidth * clock.interval)
 
@@ -68,7 +68,7 @@ def motion_columns(motion: SmoothedMotion) -> list[Array]:
     return [motion.acceleration, motion.velocity, smooth(np.sign(motion.velocity), motion.width)]
 
 
-def fitted(values: Array, columns: list[Array]) -> Array:
+def least_squares_fit(values: Array, columns: list[Array]) -> Array:
     """Return the least-squares fit of columns and an offset to a channel."""
     rows = np.stack([*columns, np.ones(len(values))], axis=1)
     return np.asarray(rows @ np.linalg.lstsq(rows, values, rcond=1e-10)[0], np.float64)
@@ -81,7 +81,7 @@ def modelled_pairs(record: Record, model: Model) -> Iterator[ExpectedChannel]:
         return
     motion, constant = motion_of(clock), model.torque_constant
     current, torque, voltage = clock.get(*CURRENT), clock.get(*TORQUE), clock.get(*VOLTAGE)
-    motor_torque = driving(clock, model, record.mechanical)
+    motor_torque = torque_of_current(clock, model, record.mechanical)
     parts = (model.rotor_inertia or 0.0, model.viscous_damping or 0.0, model.coulomb_friction or 0.0)
     inertia_and_friction = np.zeros(len(clock.time)) if motion is None else sum_of(parts, motion_columns(motion))
     locked = record.mechanical == "locked"
@@ -99,7 +99,7 @@ def modelled_pairs(record: Record, model: Model) -> Iterator[ExpectedChannel]:
     if (
         voltage is not None
         and motion is not None
-        and (volts_taken := taken_of_voltage(record, model, motion)) is not None
+        and (volts_taken := voltage_for_motion(record, model, motion)) is not None
     ):
         inputs = (VOLTAGE, ANGLE)
         yield ExpectedChannel(VOLTAGE, "the motion", voltage, volts_taken, inputs, 0.0, "velocity", motion.velocity)

@@ -7,25 +7,26 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.gap.diagnosis import EffectParameter
-from leactl.gap.setup.contract import SetUpFault, left_out, with_values
+from leactl.gap.setup.contract import SetUpFault, with_values, without_samples
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import Clocked, Key, Record, smallest_step
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-MEASURED = ("q_axis_current", "velocity", "torque", "q_axis_voltage")  # quantities that noise always changes
-SEEN = 0.99  # probability of a fault that samples show
-ALIKE = 0.1  # largest difference between the leaps of a wrapped channel, as a share of the period
-LEAPS = 0.6  # share of a channel's range from which a step is a leap
-TURN = 16.0  # encoder steps below which a leap is an angle at rest that flickers
-FROZEN = 0.3  # share of a record from which a constant channel is frozen, not at rest
-MOVES = 0.2  # smallest deviation of the moving companion meanwhile, as a share of its usual one
-LONGEST_REST = 100  # samples
-FINE = 200  # levels from which two equal samples in a row are not due to rounding
-REPEATED = 0.3  # share of repeated samples from which a channel is at fault
-CLEAN = 0.1  # noise over that of the reference below which a channel is not a measured one
-TOPPED, IN_A_ROW = 0.01, 4  # share of samples at an end of the range, and fewest consecutive ones, of a clipped channel
+NOISY_QUANTITIES = ("q_axis_current", "velocity", "torque", "q_axis_voltage")  # quantities that noise always changes
+FAULT_PROBABILITY = 0.99  # probability of a fault that samples show
+LEAP_TOLERANCE = 0.1  # largest difference between the leaps of a wrapped channel, as a share of the period
+LEAST_LEAP_SHARE = 0.6  # share of a channel's range from which a step is a leap
+LEAST_LEAP_STEPS = 16.0  # encoder steps; a smaller leap is an angle at rest that flickers
+LEAST_FROZEN_SHARE = 0.3  # share of a record from which a constant channel is frozen, not at rest
+LEAST_COMPANION_MOTION = 0.2  # deviation of the companion while a channel is constant, as a share of its usual one
+LONGEST_REST = 100  # samples for which a sound channel may be constant
+FEWEST_FINE_LEVELS = 200  # levels from which two equal samples in a row are not due to rounding
+MOST_REPEATED_SHARE = 0.3  # largest share of repeated samples in a sound channel
+LEAST_NOISE_RATIO = 0.1  # noise over that of the reference; with less, a channel is computed, not measured
+LEAST_CLIPPED_SHARE = 0.01  # share of a clipped channel's samples at an end of its range
+FEWEST_CLIPPED_IN_ROW = 4  # consecutive samples there
 COMPANIONS = {
     "velocity": "angle",
     "angle": "velocity",
@@ -43,24 +44,26 @@ def channels_of(records: Sequence[Record], quantities: Collection[str]) -> Itera
         yield key, {name: clock for name, clock in clocks.items() if key in clock.values}
 
 
-def share_of(masks: Iterable[Mask]) -> str:
+def percent_text(masks: Iterable[Mask]) -> str:
     """Return the share of set samples in masks, as text in percent."""
     return f"{100.0 * float(np.mean(np.concatenate(list(masks)))):.0f} %"
 
 
-def wrapped(records: Sequence[Record], _: Model) -> SetUpFault | None:
+def find_wrapped_angle(records: Sequence[Record], _: Model) -> SetUpFault | None:
     """Return the fault of an angle that leaps by a whole range, if there is one."""
     for key, clocks in channels_of(records, ("angle",)):
         period = max(period_of(clock.values[key][clock.all_valid(key)]) for clock in clocks.values())
         if period > 0.0:
             evidence = f"leaps by {period:.6g} rad from one sample to the next"
             parameters = (EffectParameter("period", period, 0.0, "rad"),)
-            mend = partial(unwrapped, key=key, period=period)
-            return SetUpFault("wrapped_channel", key, SEEN, evidence, "unwrap it on import", mend, parameters)
+            mend = partial(with_unwrapped_angle, key=key, period=period)
+            return SetUpFault(
+                "wrapped_channel", key, FAULT_PROBABILITY, evidence, "unwrap it on import", mend, parameters
+            )
     return None
 
 
-def unwrapped(record: Record, key: Key, period: float) -> Record:
+def with_unwrapped_angle(record: Record, key: Key, period: float) -> Record:
     """Return a record with an angle unwrapped by a period."""
     if record.fast is None or key not in record.fast.values:
         return record
@@ -70,36 +73,40 @@ def unwrapped(record: Record, key: Key, period: float) -> Record:
 def period_of(values: Array) -> float:
     """Return the period by which values leap, zero where they do not."""
     steps, value_range = np.diff(values), float(np.ptp(values))
-    leaps = np.abs(steps[np.abs(steps) > LEAPS * value_range])
-    if len(leaps) < 2 or float(np.median(leaps)) < TURN * smallest_step(values):
+    leaps = np.abs(steps[np.abs(steps) > LEAST_LEAP_SHARE * value_range])
+    if len(leaps) < 2 or float(np.median(leaps)) < LEAST_LEAP_STEPS * smallest_step(values):
         return 0.0
     period = float(np.median(leaps)) + float(np.median(np.abs(steps)))
-    likely_period = 2.0 * np.pi if abs(period / (2.0 * np.pi) - 1.0) < ALIKE else period
-    return likely_period if float(np.ptp(leaps)) < ALIKE * likely_period else 0.0
+    likely_period = 2.0 * np.pi if abs(period / (2.0 * np.pi) - 1.0) < LEAP_TOLERANCE else period
+    return likely_period if float(np.ptp(leaps)) < LEAP_TOLERANCE * likely_period else 0.0
 
 
-def frozen(records: Sequence[Record], _: Model) -> SetUpFault | None:
+def find_frozen_channel(records: Sequence[Record], _: Model) -> SetUpFault | None:
     """Return the fault of a channel that is constant for long while its companion moves, if there is one."""
     mechanical = {record.name: record.mechanical for record in records}
     for key, clocks in channels_of(records, COMPANIONS):
         if all(may_rest(key, mechanical[name]) for name in clocks):
             continue
-        rests = {name: rest_of(clock, key) for name, clock in clocks.items() if not may_rest(key, mechanical[name])}
-        still = lasting(rests, {record.name: record.run for record in records})
+        rests = {
+            name: frozen_samples(clock, key) for name, clock in clocks.items() if not may_rest(key, mechanical[name])
+        }
+        still = long_rests(rests, {record.name: record.run for record in records})
         if still:
-            evidence = f"stands still over {share_of(rests.values())} of its samples while {COMPANIONS[key[0]]} moves"
+            evidence = (
+                f"stands still over {percent_text(rests.values())} of its samples while {COMPANIONS[key[0]]} moves"
+            )
             change = "look at its wire and its column; these samples are left out"
-            mend = partial(left_out, key=key, masks=still)
-            return SetUpFault("frozen_channel", key, SEEN, evidence, change, mend, shrinks=False)
+            mend = partial(without_samples, key=key, masks=still)
+            return SetUpFault("frozen_channel", key, FAULT_PROBABILITY, evidence, change, mend, shrinks=False)
     return None
 
 
-def lasting(rests: Mapping[str, Mask], runs: Mapping[str, str]) -> dict[str, Mask]:
-    """Return the rests, by record, of runs that rest for at least `FROZEN` of all their stretches."""
+def long_rests(rests: Mapping[str, Mask], runs: Mapping[str, str]) -> dict[str, Mask]:
+    """Return the rests, by record, of runs that rest for at least `LEAST_FROZEN_SHARE` of all their stretches."""
     by_run: dict[str, Mask] = {}
     for run in {runs[name] for name in rests}:
         rests_of_run = {name: mask for name, mask in rests.items() if runs[name] == run}
-        if float(np.mean(np.concatenate(list(rests_of_run.values())))) >= FROZEN:
+        if float(np.mean(np.concatenate(list(rests_of_run.values())))) >= LEAST_FROZEN_SHARE:
             by_run |= {name: mask for name, mask in rests_of_run.items() if mask.any()}
     return by_run
 
@@ -111,15 +118,15 @@ def may_rest(key: Key, mechanical: str) -> bool:
     return mechanical == "free" and key[0] == "torque"
 
 
-def rest_of(clock: Clocked, key: Key) -> Mask:
+def frozen_samples(clock: Clocked, key: Key) -> Mask:
     """Return the samples over which a channel is constant too long while its companion moves.
 
     All samples are returned where these are most of a record.
     """
-    values, resting = where_measured(clock, key), np.zeros(len(clock.time), np.bool_)
+    values, resting = nan_where_unmeasured(clock, key), np.zeros(len(clock.time), np.bool_)
     companion = clock.get(COMPANIONS[key[0]], key[1])
     begin, end = longest_run(np.diff(values) == 0.0)
-    if companion is None or end - begin < max(LONGEST_REST, FROZEN * len(values)):
+    if companion is None or end - begin < max(LONGEST_REST, LEAST_FROZEN_SHARE * len(values)):
         return resting
     # the companion of an angle is a speed, whose size counts; of the others its change or deviation does
     moving = np.abs(companion) if key[0] == "angle" else np.diff(companion, prepend=companion[0])
@@ -128,13 +135,17 @@ def rest_of(clock: Clocked, key: Key) -> Mask:
     usual, meanwhile = (float(np.sqrt(np.mean(part**2))) for part in (moving, moving[begin : end + 1]))
     if key[0] not in ("angle", "velocity"):
         meanwhile = float(np.std(moving[begin : end + 1]))  # another constant level is no motion
-    if usual == 0.0 or meanwhile < MOVES * usual or noise_of(companion) > 0.5 * float(np.std(companion)):
+    if (
+        usual == 0.0
+        or meanwhile < LEAST_COMPANION_MOTION * usual
+        or noise_of(companion) > 0.5 * float(np.std(companion))
+    ):
         return resting
     resting[begin : end + 1] = True
-    return np.ones_like(resting) if resting.mean() > 1.0 - FROZEN else resting
+    return np.ones_like(resting) if resting.mean() > 1.0 - LEAST_FROZEN_SHARE else resting
 
 
-def where_measured(clock: Clocked, key: Key) -> Array:
+def nan_where_unmeasured(clock: Clocked, key: Key) -> Array:
     """Return a channel with NaN where it was not measured."""
     return np.where(clock.all_valid(key), clock.values[key], np.nan)
 
@@ -148,88 +159,92 @@ def longest_run(mask: Mask) -> tuple[int, int]:
     return int(begin), int(end)
 
 
-def measured_by(model: Model) -> tuple[str, ...]:
+def noisy_quantities(model: Model) -> tuple[str, ...]:
     """Return the quantities that are measured: a voltage that a servo computes or a test commands may be constant."""
     return (
-        MEASURED
+        NOISY_QUANTITIES
         if model.drive is None and model.feedforward is None
-        else tuple(name for name in MEASURED if name != "q_axis_voltage")
+        else tuple(name for name in NOISY_QUANTITIES if name != "q_axis_voltage")
     )
 
 
-def repeated(records: Sequence[Record], model: Model) -> SetUpFault | None:
+def find_repeated_samples(records: Sequence[Record], model: Model) -> SetUpFault | None:
     """Return the fault of a measured channel with many repeated samples, if there is one."""
-    for key, clocks in channels_of(records, measured_by(model)):
-        shares = [float(again(clock, key).mean()) for clock in clocks.values()]
-        if float(np.median(shares)) > REPEATED:
+    for key, clocks in channels_of(records, noisy_quantities(model)):
+        shares = [float(repeated_samples(clock, key).mean()) for clock in clocks.values()]
+        if float(np.median(shares)) > MOST_REPEATED_SHARE:
             evidence = f"repeats {100.0 * float(np.median(shares)):.0f} % of its samples"
             change = "it is sampled slower than it is logged: log it at its own rate, in a stream of its own"
-            mend = partial(taken_between, key=key)
-            return SetUpFault("repeated_samples", key, SEEN, evidence, change, mend, shrinks=False)
+            mend = partial(with_repeats_interpolated, key=key)
+            return SetUpFault("repeated_samples", key, FAULT_PROBABILITY, evidence, change, mend, shrinks=False)
     return None
 
 
-def taken_between(record: Record, key: Key) -> Record:
+def with_repeats_interpolated(record: Record, key: Key) -> Record:
     """Return a record whose repeated samples of a channel are interpolated."""
     clock = record.fast
     if clock is None or key not in clock.values:
         return record
-    fresh = ~again(clock, key)
+    fresh = ~repeated_samples(clock, key)
     return with_values(record, key, np.interp(clock.time, clock.time[fresh], clock.values[key][fresh]))
 
 
-def again(clock: Clocked, key: Key) -> Mask:
+def repeated_samples(clock: Clocked, key: Key) -> Mask:
     """Return the samples that repeat the one before; none in a channel of few levels, or with a long rest."""
     values = clock.values[key]
     repeated = np.concatenate([[False], np.diff(values) == 0.0])
     begin, end = longest_run(repeated)
-    if len(np.unique(values)) < min(FINE, len(values) // 4) or end - begin >= LONGEST_REST:
+    if len(np.unique(values)) < min(FEWEST_FINE_LEVELS, len(values) // 4) or end - begin >= LONGEST_REST:
         return np.zeros(len(values), np.bool_)
     return repeated
 
 
-def clipped(records: Sequence[Record], model: Model) -> SetUpFault | None:
+def find_clipped_channel(records: Sequence[Record], model: Model) -> SetUpFault | None:
     """Return the fault of a measured channel that stays at an end of its range, if there is one."""
-    for key, clocks in channels_of(records, measured_by(model)):
+    for key, clocks in channels_of(records, noisy_quantities(model)):
         topped = {
-            name: top for name, clock in clocks.items() if noisy(clock, key) and (top := at_ends(clock, key)).any()
+            name: top
+            for name, clock in clocks.items()
+            if has_own_noise(clock, key) and (top := samples_at_ends(clock, key)).any()
         }
         if topped:
             level = max(float(np.max(np.abs(clocks[name].values[key]))) for name in topped)
             runs = len({record.run for record in records if record.name in topped})
-            evidence = f"stands at {level:.6g} over {share_of(topped.values())} of the samples of {runs} runs"
+            evidence = f"stands at {level:.6g} over {percent_text(topped.values())} of the samples of {runs} runs"
             parameters = (EffectParameter("level", level, 0.0, next(iter(clocks.values())).units.get(key, "")),)
-            mend = partial(left_out, key=key, masks=topped)
+            mend = partial(without_samples, key=key, masks=topped)
             change = "widen its range; these samples are left out"
-            return SetUpFault("clipped_channel", key, SEEN, evidence, change, mend, parameters, shrinks=False)
+            return SetUpFault(
+                "clipped_channel", key, FAULT_PROBABILITY, evidence, change, mend, parameters, shrinks=False
+            )
     return None
 
 
-def begins_at_rest(values: Array) -> slice:
+def initial_rest(values: Array) -> slice:
     """Return the samples at zero before a channel first changes: a one-sided run begins at an end of its range."""
     return slice(0, int(np.argmax(values != 0.0)))
 
 
-def noisy(clock: Clocked, key: Key) -> bool:
+def has_own_noise(clock: Clocked, key: Key) -> bool:
     """Return whether a channel has noise of its own, compared with its reference: a setpoint may stay at a limit."""
     reference, values = clock.get(f"{key[0]}_reference", key[1]), clock.values[key]
     moving = values[np.diff(values, prepend=np.nan) != 0.0]  # repeated values would hide the noise
-    return reference is None or noise_of(moving, 0.0) >= CLEAN * noise_of(reference, 0.0)
+    return reference is None or noise_of(moving, 0.0) >= LEAST_NOISE_RATIO * noise_of(reference, 0.0)
 
 
-def at_ends(clock: Clocked, key: Key) -> Mask:
+def samples_at_ends(clock: Clocked, key: Key) -> Mask:
     """Return the samples at which a channel of many levels stays at its largest or smallest value."""
-    values = where_measured(clock, key)
+    values = nan_where_unmeasured(clock, key)
     at_limit = np.zeros(len(values), np.bool_)
-    if len(np.unique(values[np.isfinite(values)])) < min(FINE, len(values) // 4):
+    if len(np.unique(values[np.isfinite(values)])) < min(FEWEST_FINE_LEVELS, len(values) // 4):
         return at_limit
     still = np.concatenate([[False], np.diff(values) == 0.0])
     ends = [values == np.nanmax(values), values == np.nanmin(values)]
-    if float(np.mean(still[~(ends[0] | ends[1])])) >= TOPPED:
+    if float(np.mean(still[~(ends[0] | ends[1])])) >= LEAST_CLIPPED_SHARE:
         return at_limit  # the channel repeats samples elsewhere as well
     for end in ends:
-        end[begins_at_rest(values)] = False
+        end[initial_rest(values)] = False
         begin, stop = longest_run(end)
-        if stop - begin >= IN_A_ROW and float(end.mean()) >= TOPPED:
+        if stop - begin >= FEWEST_CLIPPED_IN_ROW and float(end.mean()) >= LEAST_CLIPPED_SHARE:
             at_limit |= end
     return at_limit

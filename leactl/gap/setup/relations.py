@@ -21,23 +21,24 @@ from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-WIDEST = 64.0  # samples of smoothing beyond which an encoder is too coarse for an acceleration
-NOISY = 0.1  # largest noise of an acceleration, as a share of its standard deviation
-CURVES = 0.46  # deviation of a second difference per deviation of the angle, at a width of one sample
-FITS = 0.8  # smallest share of a channel's variance that its expected value explains if a relation holds
-FEWEST = 50  # samples
-BRIDGED = 1  # longest gap in samples that interpolation bridges well
-KNOWN = 4.0  # standard errors from which a coefficient is determined
-SMALL, ALIKE = 0.3, 0.3  # share of values that are small, and largest relative difference of their factor's logarithm
-LEVEL = 0.5  # share of a channel's largest value above which a value is not small
-FAR = 0.1  # logarithm of a factor below which small and large values need not agree
-MISFIT = 3.0  # factor on standard errors, for residuals that are not noise
-TIGHT = 0.02
-USUAL = {
-    "velocity test": TIGHT,
-    "velocity load": TIGHT,
-    "current test": TIGHT,
-    "current load": TIGHT,
+MOST_WIDTH = 64.0  # samples of smoothing; beyond them an encoder is too coarse for an acceleration
+MOST_NOISE_SHARE = 0.1  # largest noise of an acceleration, as a share of its standard deviation
+CURVATURE_NOISE = 0.46  # deviation of a second difference per deviation of the angle, at a width of one sample
+LEAST_FIT_SHARE = 0.8  # smallest share of a channel's variance that its expected value explains if a relation holds
+FEWEST_SAMPLES = 50  # samples that a relation needs
+MOST_BRIDGED_SAMPLES = 1  # longest gap that interpolation bridges well
+LEAST_COEFFICIENT_STDS = 4.0  # standard errors from which a coefficient is determined
+SMALL_SHARE = 0.3  # share of the values that count as small
+MOST_FACTOR_DIFFERENCE = 0.3  # relative difference of the logarithms of the factors of small and of all values
+MOST_SMALL_LEVEL = 0.5  # share of a channel's largest value above which a value is not small
+LEAST_LOG_FACTOR = 0.1  # logarithm of a factor below which small and large values need not agree
+ERROR_WIDENING = 3.0  # factor on standard errors, for residuals that are not noise
+TIGHT_STD = 0.02  # of a factor between two channels of one quantity
+FACTOR_STDS = {
+    "velocity test": TIGHT_STD,
+    "velocity load": TIGHT_STD,
+    "current test": TIGHT_STD,
+    "current load": TIGHT_STD,
     "angle to its reference": 0.3,
     "velocity to its reference": 0.3,
     "torque": 0.07,
@@ -49,9 +50,9 @@ USUAL = {
     "friction": 0.4,
 }
 """Standard deviation of each factor's logarithm on sound machines, without the share of the torque constant."""
-CONSTANT = 0.08
-OF_CONSTANT = {"torque": 1.0, "back_emf": 1.0, "inertia": -1.0, "damping": -1.0, "friction": -1.0}
-"""Power of the torque constant in each factor; `CONSTANT` is the standard deviation of its logarithm."""
+CONSTANT_STD = 0.08  # of the logarithm of the torque constant
+CONSTANT_POWERS = {"torque": 1.0, "back_emf": 1.0, "inertia": -1.0, "damping": -1.0, "friction": -1.0}
+"""Power of the torque constant in each factor; `CONSTANT_STD` is the standard deviation of its logarithm."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class Factor:
     @property
     def holds(self) -> bool:
         """Whether the relation explains enough of the channel's variance."""
-        return self.fits >= FITS
+        return self.fits >= LEAST_FIT_SHARE
 
 
 @dataclass(frozen=True)
@@ -83,17 +84,17 @@ class SmoothedMotion:
 def factors_of(record: Record, model: Model) -> Iterator[Factor]:
     """Yield every factor that a run determines, and every relation that does not hold."""
     clock = record.fast
-    if clock is None or len(clock.time) < FEWEST:
+    if clock is None or len(clock.time) < FEWEST_SAMPLES:
         return
     for role in ("test", "load"):
-        yield from followed(clock, role, record.mechanical)
+        yield from followed_factors(clock, role, record.mechanical)
     moved = motion_of(clock)
-    yield from of_torque(clock, model, record.mechanical, moved)
+    yield from torque_factors(clock, model, record.mechanical, moved)
     if moved is not None:
-        yield from of_voltage(clock, model, record.mechanical, moved)
+        yield from voltage_factors(clock, model, record.mechanical, moved)
         if record.mechanical == "free":
-            yield from of_feeding(record, clock, model, moved)
-            yield from of_motion(record, clock, model, moved)
+            yield from feeding_factors(record, clock, model, moved)
+            yield from motion_factors(record, clock, model, moved)
 
 
 def motion_of(clock: Clocked, role: str = "test") -> SmoothedMotion | None:
@@ -102,21 +103,21 @@ def motion_of(clock: Clocked, role: str = "test") -> SmoothedMotion | None:
     if angle is None and velocity is None:
         return None
     width = BASE_WIDTH
-    while width <= WIDEST:
+    while width <= MOST_WIDTH:
         if angle is not None:
             speed = smooth(np.gradient(angle, clock.interval), width)
-            noise = noise_of(angle) * CURVES / width**2.5 / clock.interval**2
+            noise = noise_of(angle) * CURVATURE_NOISE / width**2.5 / clock.interval**2
         else:
             speed = smooth(np.asarray(velocity), width)
-            noise = noise_of(np.asarray(velocity)) * CURVES / width**1.5 / clock.interval
+            noise = noise_of(np.asarray(velocity)) * CURVATURE_NOISE / width**1.5 / clock.interval
         acceleration = slope(speed, clock.interval)
-        if noise <= NOISY * float(np.std(acceleration)):
+        if noise <= MOST_NOISE_SHARE * float(np.std(acceleration)):
             return SmoothedMotion(None if angle is None else smooth(angle, width), speed, acceleration, width)
         width *= math.sqrt(2.0)
     return None
 
 
-def followed(clock: Clocked, role: str, mechanical: str) -> Iterator[Factor]:
+def followed_factors(clock: Clocked, role: str, mechanical: str) -> Iterator[Factor]:
     """Yield the factors of channels that equal another channel or follow their reference."""
     angle = "angle", role if clock.get("angle", role) is not None or mechanical != "coupled" else "test"
     pairs = [
@@ -134,23 +135,25 @@ def followed(clock: Clocked, role: str, mechanical: str) -> Iterator[Factor]:
             continue
         if key[0] == "velocity" and companion[0] == "angle":
             expected = np.gradient(expected, clock.interval)
-        width = width_for(expected)
+        width = smoothing_width(expected)
         expected = smooth(expected, width)
         valid = clock.all_valid(key, companion)
-        yield from factor(name, smooth(reads, width), expected, [slope(expected, 1.0)], valid, width)
+        yield from single_factor(name, smooth(reads, width), expected, [slope(expected, 1.0)], valid, width)
 
 
-def width_for(values: Array) -> float:
+def smoothing_width(values: Array) -> float:
     """Return the smoothing [samples] after which noise is a tenth of a channel's deviation, at most the widest."""
     width = BASE_WIDTH
-    while width < WIDEST and noise_of(values) / math.sqrt(3.5 * width) > NOISY * float(np.std(smooth(values, width))):
+    while width < MOST_WIDTH and noise_of(values) / math.sqrt(3.5 * width) > MOST_NOISE_SHARE * float(
+        np.std(smooth(values, width))
+    ):
         width *= math.sqrt(2.0)
     return width
 
 
-def of_torque(clock: Clocked, model: Model, mechanical: str, moved: SmoothedMotion | None) -> Iterator[Factor]:
+def torque_factors(clock: Clocked, model: Model, mechanical: str, moved: SmoothedMotion | None) -> Iterator[Factor]:
     """Yield the factor of the logged shaft torque over that from current and motion."""
-    torque, force = clock.get("torque"), driving(clock, model, mechanical)
+    torque, force = clock.get("torque"), torque_of_current(clock, model, mechanical)
     if torque is None or force is None:
         return
     valid = clock.all_valid(("torque", "test"), ("q_axis_current", "test"))
@@ -159,10 +162,10 @@ def of_torque(clock: Clocked, model: Model, mechanical: str, moved: SmoothedMoti
         width, valid = moved.width, valid & clock.all_valid(("angle", "test"))
         other_columns = [moved.acceleration, moved.velocity, smooth(np.sign(moved.velocity), width)]
     force = smooth(force, width)
-    yield from factor("torque", smooth(torque, width), force, [slope(force, 1.0), *other_columns], valid, width)
+    yield from single_factor("torque", smooth(torque, width), force, [slope(force, 1.0), *other_columns], valid, width)
 
 
-def driving(clock: Clocked, model: Model, mechanical: str) -> Array | None:
+def torque_of_current(clock: Clocked, model: Model, mechanical: str) -> Array | None:
     """Return the torque that a current makes; for a locked rotor, the torque transmitted past sticking friction."""
     current = clock.get("q_axis_current")
     if current is None or not model.torque_constant or mechanical not in ("locked", "coupled"):
@@ -171,7 +174,7 @@ def driving(clock: Clocked, model: Model, mechanical: str) -> Array | None:
     return play(force, model.coulomb_friction or 0.0) if mechanical == "locked" else force
 
 
-def of_voltage(clock: Clocked, model: Model, mechanical: str, moved: SmoothedMotion) -> Iterator[Factor]:
+def voltage_factors(clock: Clocked, model: Model, mechanical: str, moved: SmoothedMotion) -> Iterator[Factor]:
     """Yield the factors of resistance and back-EMF in the voltage."""
     voltage, current = clock.get("q_axis_voltage"), clock.get("q_axis_current")
     if voltage is None or current is None:
@@ -184,24 +187,24 @@ def of_voltage(clock: Clocked, model: Model, mechanical: str, moved: SmoothedMot
     if mechanical == "locked":
         del nominal["back_emf"], columns[1]
     valid = clock.all_valid(("q_axis_voltage", "test"), ("q_axis_current", "test"), ("angle", "test"))
-    yield from several(nominal, smooth(voltage, moved.width), columns, valid, moved.width)
+    yield from coefficient_factors(nominal, smooth(voltage, moved.width), columns, valid, moved.width)
 
 
-def of_feeding(record: Record, clock: Clocked, model: Model, moved: SmoothedMotion) -> Iterator[Factor]:
+def feeding_factors(record: Record, clock: Clocked, model: Model, moved: SmoothedMotion) -> Iterator[Factor]:
     """Yield the factor of a feeding voltage over that from the motion; it shows the sign, not the size.
 
     Both are extended by their mirror images: a step holds one voltage, whose sign is in its mean.
     """
-    takes, voltage = taken_of_voltage(record, model, moved), clock.get("q_axis_voltage")
+    takes, voltage = voltage_for_motion(record, model, moved), clock.get("q_axis_voltage")
     if takes is None or voltage is None:
         return
     reads, takes = smooth(voltage, moved.width), smooth(takes, moved.width)
     valid = clock.all_valid(("q_axis_voltage", "test"), ("angle", "test"))
     reads, takes = (np.concatenate([values, -values[::-1]]) for values in (reads, takes))
-    yield from factor("feeding", reads, takes, [], np.concatenate([valid, valid[::-1]]), moved.width)
+    yield from single_factor("feeding", reads, takes, [], np.concatenate([valid, valid[::-1]]), moved.width)
 
 
-def taken_of_voltage(record: Record, model: Model, moved: SmoothedMotion) -> Array | None:
+def voltage_for_motion(record: Record, model: Model, moved: SmoothedMotion) -> Array | None:
     """Return the voltage [V] for back-EMF and friction of a motor fed with a voltage; None if no voltage feeds it."""
     fed = voltage_feed(record, model)
     if fed is None:
@@ -210,7 +213,7 @@ def taken_of_voltage(record: Record, model: Model, moved: SmoothedMotion) -> Arr
     return np.asarray((fed.damping * moved.velocity + friction) / fed.gain, np.float64)
 
 
-def of_motion(record: Record, clock: Clocked, model: Model, moved: SmoothedMotion) -> Iterator[Factor]:
+def motion_factors(record: Record, clock: Clocked, model: Model, moved: SmoothedMotion) -> Iterator[Factor]:
     """Yield the factors of inertia, damping and friction in the current of a free run; gravity is fitted, too."""
     current = clock.get("q_axis_current")
     if current is None or not model.torque_constant:
@@ -225,25 +228,25 @@ def of_motion(record: Record, clock: Clocked, model: Model, moved: SmoothedMotio
     if moved.angle is not None and load.type != "none":
         columns += [np.sin(moved.angle), np.cos(moved.angle)]
     valid = clock.all_valid(("q_axis_current", "test"), ("angle", "test"))
-    yield from several(nominal, smooth(current, moved.width), columns, valid, moved.width)
+    yield from coefficient_factors(nominal, smooth(current, moved.width), columns, valid, moved.width)
 
 
-def factor(
+def single_factor(
     name: str, reads: Array, expected: Array, other_columns: list[Array], valid: Mask, width: float
 ) -> Iterator[Factor]:
     """Yield the factor of one relation, if it is determined or does not hold."""
-    yield from several({name: 1.0}, reads, [expected, *other_columns], valid, width)
+    yield from coefficient_factors({name: 1.0}, reads, [expected, *other_columns], valid, width)
 
 
-def several(
+def coefficient_factors(
     nominal: dict[str, float | None], reads: Array, columns: list[Array], valid: Mask, width: float
 ) -> Iterator[Factor]:
     """Yield the ratios of the first columns' coefficients to nominal ones; fit other columns and an offset, too."""
-    valid = unsmeared(valid, width)
+    valid = samples_away_from_gaps(valid, width)
     rows = np.stack([column[valid] for column in columns], axis=1)
     values = reads[valid]
     independent = len(values) / (math.sqrt(4.0 * math.pi) * width)
-    if len(values) < FEWEST or independent < 2 * rows.shape[1] or float(np.ptp(values)) == 0.0:
+    if len(values) < FEWEST_SAMPLES or independent < 2 * rows.shape[1] or float(np.ptp(values)) == 0.0:
         return
     rows, values = rows - rows.mean(axis=0), values - values.mean()
     sizes = np.sqrt(np.mean(rows**2, axis=0))
@@ -268,9 +271,9 @@ def several(
     nominal_squares = float(nominal_residual @ nominal_residual)
     explained = 1.0 - float(residual @ residual) / nominal_squares if nominal_squares > 0.0 else 0.0
     for index, (name, value) in enumerate(nominal.items()):
-        error = MISFIT * math.sqrt(covariance[index])
-        determined = math.isfinite(error) and abs(solved[index]) > KNOWN * error
-        if value and (determined or fits < FITS):
+        error = ERROR_WIDENING * math.sqrt(covariance[index])
+        determined = math.isfinite(error) and abs(solved[index]) > LEAST_COEFFICIENT_STDS * error
+        if value and (determined or fits < LEAST_FIT_SHARE):
             size = abs(float(solved[index])) or 1e-300
             yield Factor(name, float(solved[index]) / value, error / size, fits, explained)
 
@@ -278,22 +281,22 @@ def several(
 def is_scaled(rows: Array, values: Array, factor_of_all: float) -> bool:
     """Return whether small values have the same factor as all: a limit changes only large values, a scale all."""
     size = np.abs(rows[:, 0])
-    least = float(np.quantile(size, SMALL))
+    least = float(np.quantile(size, SMALL_SHARE))
     small = size <= least
-    if factor_of_all <= 0.0 or abs(math.log(factor_of_all)) < FAR or int(small.sum()) < FEWEST:
+    if factor_of_all <= 0.0 or abs(math.log(factor_of_all)) < LEAST_LOG_FACTOR or int(small.sum()) < FEWEST_SAMPLES:
         return True
-    if least > LEVEL * float(np.max(size)):  # a channel of two levels has no small values
+    if least > MOST_SMALL_LEVEL * float(np.max(size)):  # a channel of two levels has no small values
         return False
     columns = np.column_stack([rows[small], np.ones(int(small.sum()))])
     factor_of_small = float(np.linalg.lstsq(columns, values[small], rcond=1e-10)[0][0])
-    return factor_of_small > 0.0 and abs(math.log(factor_of_small / factor_of_all)) <= ALIKE * abs(
+    return factor_of_small > 0.0 and abs(math.log(factor_of_small / factor_of_all)) <= MOST_FACTOR_DIFFERENCE * abs(
         math.log(factor_of_all)
     )
 
 
-def unsmeared(valid: Mask, width: float) -> Mask:
+def samples_away_from_gaps(valid: Mask, width: float) -> Mask:
     """Return the valid samples farther from gaps than the smoothing reaches; a gap of one sample does not count."""
     if valid.all():
         return valid
-    gaps = binary_opening(~valid, np.ones(BRIDGED + 1))
+    gaps = binary_opening(~valid, np.ones(MOST_BRIDGED_SAMPLES + 1))
     return np.asarray(valid & ~maximum_filter1d(gaps, 2 * int(2.0 * width) + 1), np.bool_)

@@ -11,24 +11,31 @@ from functools import partial
 
 from leactl.gap.diagnosis import EffectParameter
 from leactl.gap.setup.contract import SetUpFault, with_values
-from leactl.gap.setup.conventions import CURRENTS, NEAR, UNITS, convention, step_of_time, whole
-from leactl.gap.setup.hypotheses import ANGLE, TIME, Spoken, pooled, spoken_for, usual
-from leactl.gap.setup.relations import TIGHT, USUAL, Factor, factors_of
+from leactl.gap.setup.conventions import (
+    CONVENTION_TOLERANCE,
+    CURRENT_FACTORS,
+    UNIT_FACTORS,
+    convention,
+    time_unit,
+    whole_number,
+)
+from leactl.gap.setup.hypotheses import ANGLE, TIME, ShownFault, is_usual, pool_factors, shown_faults
+from leactl.gap.setup.relations import FACTOR_STDS, TIGHT_STD, Factor, factors_of
 from leactl.gap.signals.record import Clocked, Key, Record
 from leactl.model.nominal import Model
 
 SIGN, SCALE, COUNTS, POLES, TIME_BASE = "channel_sign", "channel_scale", "encoder_counts", "pole_pairs", "time_base"
-BETWEEN = 0.25  # error of a factor from which it may be a whole number
-SEEN = 0.99  # probability of a fault that all relations agree on, together with its class
-ODD = 4.0  # squared standard deviations that a factor without a convention loses against one with a convention
-CLEARLY = 0.25  # largest distance of a factor from a unit, over that from a whole number, for the unit to be certain
-CONSTANTS = {"torque_constant"}  # model parameters that look like a scaled channel
-THOUSANDS = ("1000", "1/1000")
-ELECTRICAL = {"q_axis_current", "q_axis_current_reference", "q_axis_voltage"}
+LEAST_AMBIGUOUS_ERROR = 0.25  # error of a factor from which it may be a whole number
+FAULT_PROBABILITY = 0.99  # probability of a fault that all relations agree on, together with its class
+UNCONVENTIONAL_COST = 4.0  # squared standard deviations by which a factor that is no convention counts as worse
+MOST_UNIT_DISTANCE_RATIO = 0.25  # distance of a factor from a certain unit, over that from a whole number
+SCALING_PARAMETERS = {"torque_constant"}  # model parameters whose error looks like a scaled channel
+THOUSAND_FACTORS = ("1000", "1/1000")  # factors of units that electrical channels may have, too
+ELECTRICAL_QUANTITIES = {"q_axis_current", "q_axis_current_reference", "q_axis_voltage"}
 Factors = Mapping[str, Factor]
 
 
-def misscaled(records: Sequence[Record], model: Model) -> SetUpFault | None:
+def find_scale_fault(records: Sequence[Record], model: Model) -> SetUpFault | None:
     """Return the clearest fault of scale, sign or time base, if there is one."""
     factors_by_run = {
         record.name: {factor.relation: factor for factor in factors_of(record, model) if factor.holds}
@@ -36,62 +43,73 @@ def misscaled(records: Sequence[Record], model: Model) -> SetUpFault | None:
     }
     factors_by_run = {run: factors for run, factors in factors_by_run.items() if factors}
     keys = {key for record in records if record.fast is not None for key in record.fast.values}
-    unusual_runs = {run: factors for run, factors in factors_by_run.items() if not all(map(usual, factors.values()))}
+    unusual_runs = {run: factors for run, factors in factors_by_run.items() if not all(map(is_usual, factors.values()))}
     for group in (factors_by_run, unusual_runs):
-        shown = named(spoken_for(pooled(list(group.values())), keys)) if group else []
+        shown = faults_among(shown_faults(pool_factors(list(group.values())), keys)) if group else []
         # an error in some runs only is another machine or an effect, unless two channels of one quantity disagree
-        if shown and (group is factors_by_run or (disagreeing(shown[0]) and usual_convention(shown[0]))):
+        if shown and (group is factors_by_run or (is_disagreement(shown[0]) and has_usual_convention(shown[0]))):
             # a run that does not determine the factor is taken to have the fault as well
-            sound = {run for run, factors in factors_by_run.items() if run not in group and shows(factors, shown[0])}
+            sound = {
+                run
+                for run, factors in factors_by_run.items()
+                if run not in group and determines_factor(factors, shown[0])
+            }
             return fault_of(shown, {record.name for record in records} - sound, len(records), model)
     return None
 
 
-def shows(factors: Factors, spoken: Spoken) -> bool:
+def determines_factor(factors: Factors, spoken: ShownFault) -> bool:
     """Return whether a run determines a factor that a fault would change."""
     return bool({*spoken.signature.powers, *spoken.signature.turns} & factors.keys())
 
 
-def named(spoken: Sequence[Spoken]) -> list[Spoken]:
+def faults_among(spoken: Sequence[ShownFault]) -> list[ShownFault]:
     """Return the faults among the hypotheses, best first; none where a wrong parameter fits as well."""
-    if any(fault.signature.parameter not in {"", *CONSTANTS} for fault in spoken):
+    if any(fault.signature.parameter not in {"", *SCALING_PARAMETERS} for fault in spoken):
         return []
     faults = [fault for fault in spoken if fault.signature.keys]
     return sorted(
         faults,
-        key=lambda fault: (fault.misfit + (0.0 if usual_convention(fault) else ODD), fault.signature.keys == (TIME,)),
+        key=lambda fault: (
+            fault.misfit + (0.0 if has_usual_convention(fault) else UNCONVENTIONAL_COST),
+            fault.signature.keys == (TIME,),
+        ),
     )
 
 
-def disagreeing(spoken: Spoken) -> bool:
+def is_disagreement(spoken: ShownFault) -> bool:
     """Return whether a fault reverses a sign, or makes two channels of one quantity disagree."""
-    return spoken.sign < 0.0 or any(USUAL[name] <= TIGHT for name in spoken.signature.powers)
+    return spoken.sign < 0.0 or any(FACTOR_STDS[name] <= TIGHT_STD for name in spoken.signature.powers)
 
 
-def usual_convention(spoken: Spoken) -> bool:
+def has_usual_convention(spoken: ShownFault) -> bool:
     """Return whether a fault's factor is a usual convention of its channel."""
     size, [key, *_] = math.exp(spoken.size), spoken.signature.keys
     if key == TIME:
-        return bool(step_of_time(size, spoken.error))
+        return bool(time_unit(size, spoken.error))
     name = convention(size, spoken.error)
-    if not spoken.size or (key == ANGLE and whole(size, spoken.error)):
+    if not spoken.size or (key == ANGLE and whole_number(size, spoken.error)):
         return True
-    return name in CURRENTS if key[0] in ELECTRICAL and name not in THOUSANDS else name in UNITS
+    return (
+        name in CURRENT_FACTORS
+        if key[0] in ELECTRICAL_QUANTITIES and name not in THOUSAND_FACTORS
+        else name in UNIT_FACTORS
+    )
 
 
-def fault_of(spoken: Sequence[Spoken], runs: set[str], run_count: int, model: Model) -> SetUpFault:
+def fault_of(spoken: Sequence[ShownFault], runs: set[str], run_count: int, model: Model) -> SetUpFault:
     """Return the fault of the best hypothesis, with its convention, its evidence and the change that undoes it."""
     best, rivals = spoken[0], spoken[1:]
     within = "" if len(runs) == run_count else f" in {len(runs)} of {run_count} runs"
     other_channels = [rival for rival in rivals if rival.signature.keys]
     if best.signature.keys == (TIME,):
-        fault = time_base(best, within, runs)
+        fault = time_base_fault(best, within, runs)
     elif best.sign < 0.0 and best.size == 0.0:
-        fault = turned(best, within, runs)
+        fault = sign_fault(best, within, runs)
     elif best.signature.keys[0] == ANGLE:
-        fault = counted(best, within, runs, model)
+        fault = count_fault(best, within, runs, model)
     else:
-        fault = scaled(best, within, runs)
+        fault = scale_fault(best, within, runs)
     peers = [name for rival in other_channels for name in names_of(rival)]
     if other_channels:
         alike = " or ".join(dict.fromkeys(channels_of(rival.signature.keys) for rival in other_channels))
@@ -103,7 +121,7 @@ def fault_of(spoken: Sequence[Spoken], runs: set[str], run_count: int, model: Mo
     return replace(fault, peers=tuple(name for name in merged if name != fault.name))
 
 
-def names_of(spoken: Spoken) -> tuple[str, ...]:
+def names_of(spoken: ShownFault) -> tuple[str, ...]:
     """Return the names of the faults that a rival may be."""
     if spoken.signature.keys == (TIME,):
         return (TIME_BASE,)
@@ -121,43 +139,46 @@ def channels_of(keys: Sequence[Key]) -> str:
     )
 
 
-def reads(best: Spoken, within: str) -> str:
+def factor_text(best: ShownFault, within: str) -> str:
     """Return the evidence of a factor as text."""
     name = convention(best.factor, best.error)
     convention_text = f" ({name})" if best.size and name else ""
     return f"reads {best.factor:.4g}{convention_text} times what the other channels and the model make of it{within}"
 
 
-def parameters_of(best: Spoken) -> tuple[EffectParameter, ...]:
+def parameters_of(best: ShownFault) -> tuple[EffectParameter, ...]:
     """Return the factor with its error as a parameter."""
     return (EffectParameter("factor", best.factor, best.error * abs(best.factor), "1"),)
 
 
-def turned(best: Spoken, within: str, runs: set[str]) -> SetUpFault:
+def sign_fault(best: ShownFault, within: str, runs: set[str]) -> SetUpFault:
     """Return the fault of channels with reversed sign."""
     keys = best.signature.keys
     change = (
         f"give {' and '.join(name for name, _ in keys)} `sign: -1` in the mapping, or `invert: true` in the bench file"
     )
-    mend = partial(divided, keys=keys, by=-1.0, runs=runs)
-    return SetUpFault(SIGN, keys[0], SEEN, reads(best, within), change, mend, parameters_of(best))
+    mend = partial(with_divided_channels, keys=keys, by=-1.0, runs=runs)
+    return SetUpFault(SIGN, keys[0], FAULT_PROBABILITY, factor_text(best, within), change, mend, parameters_of(best))
 
 
-def scaled(best: Spoken, within: str, runs: set[str]) -> SetUpFault:
+def scale_fault(best: ShownFault, within: str, runs: set[str]) -> SetUpFault:
     """Return the fault of channels in another unit or convention."""
     keys = best.signature.keys
     names, multiplier = " and ".join(name for name, _ in keys), f"{1.0 / best.factor:.6g}"
     change = f"multiply the `scale` of {names} in the mapping, or in the bench file, by {multiplier}"
-    mend = partial(divided, keys=keys, by=best.factor, runs=runs)
-    return SetUpFault(SCALE, keys[0], SEEN, reads(best, within), change, mend, parameters_of(best))
+    mend = partial(with_divided_channels, keys=keys, by=best.factor, runs=runs)
+    return SetUpFault(SCALE, keys[0], FAULT_PROBABILITY, factor_text(best, within), change, mend, parameters_of(best))
 
 
-def counted(best: Spoken, within: str, runs: set[str], model: Model) -> SetUpFault:
+def count_fault(best: ShownFault, within: str, runs: set[str], model: Model) -> SetUpFault:
     """Return the fault of an angle in another unit, with another count a turn, or of an electrical angle."""
-    size, fault = math.exp(best.size), scaled(best, within, runs)
-    number, unit = whole(size, best.error), convention(size, best.error)
-    if unit in UNITS and not (number and off(size, number) < off(size, UNITS[unit])):
-        sure = best.error < NEAR and (number is None or off(size, UNITS[unit]) < CLEARLY * off(size, number))
+    size, fault = math.exp(best.size), scale_fault(best, within, runs)
+    number, unit = whole_number(size, best.error), convention(size, best.error)
+    if unit in UNIT_FACTORS and not (number and log_distance(size, number) < log_distance(size, UNIT_FACTORS[unit])):
+        sure = best.error < CONVENTION_TOLERANCE and (
+            number is None
+            or log_distance(size, UNIT_FACTORS[unit]) < MOST_UNIT_DISTANCE_RATIO * log_distance(size, number)
+        )
         return replace(fault, peers=() if sure else (POLES, COUNTS))
     if number is None:
         change = (
@@ -171,29 +192,29 @@ def counted(best: Spoken, within: str, runs: set[str], model: Model) -> SetUpFau
     return replace(fault, name=POLES, change=change, peers=() if known else (COUNTS, SCALE))
 
 
-def may_be_whole(spoken: Spoken) -> bool:
+def may_be_whole(spoken: ShownFault) -> bool:
     """Return whether a factor may be a whole number within its error."""
     larger = math.exp(abs(spoken.size))
-    return bool(whole(larger, spoken.error)) or (larger > 1.5 and spoken.error * larger > BETWEEN)
+    return bool(whole_number(larger, spoken.error)) or (larger > 1.5 and spoken.error * larger > LEAST_AMBIGUOUS_ERROR)
 
 
-def off(size: float, number: float) -> float:
+def log_distance(size: float, number: float) -> float:
     """Return the difference of the logarithms of a factor, or its inverse, and a number."""
     return abs(abs(math.log(size)) - abs(math.log(number)))
 
 
-def time_base(best: Spoken, within: str, runs: set[str]) -> SetUpFault:
+def time_base_fault(best: ShownFault, within: str, runs: set[str]) -> SetUpFault:
     """Return the fault of stamps in another unit, or at another rate than the samples."""
     size = math.exp(best.size)
-    step = step_of_time(size, best.error)
+    step = time_unit(size, best.error)
     evidence = f"goes {size:.4g} times as fast as the motion it stamps{f' ({step})' if step else ''}{within}"
     unit = {"1000": "`time: units: ms`", "1000000": "`time: units: us`", "60": "`time: units: min`"}.get(step)
     change = f"give {unit} in the mapping" if unit else f"multiply `rate_Hz` of the time in the mapping by {size:.6g}"
-    mend = partial(retimed, by=size, runs=runs)
-    return SetUpFault(TIME_BASE, TIME, SEEN, evidence, change, mend, parameters_of(best))
+    mend = partial(with_scaled_stamps, by=size, runs=runs)
+    return SetUpFault(TIME_BASE, TIME, FAULT_PROBABILITY, evidence, change, mend, parameters_of(best))
 
 
-def divided(record: Record, keys: Sequence[Key], by: float, runs: set[str]) -> Record:
+def with_divided_channels(record: Record, keys: Sequence[Key], by: float, runs: set[str]) -> Record:
     """Return a record with channels divided by a factor."""
     for key in keys:
         if record.name in runs and record.fast is not None and key in record.fast.values:
@@ -201,7 +222,7 @@ def divided(record: Record, keys: Sequence[Key], by: float, runs: set[str]) -> R
     return record
 
 
-def retimed(record: Record, by: float, runs: set[str]) -> Record:
+def with_scaled_stamps(record: Record, by: float, runs: set[str]) -> Record:
     """Return a record with stamps divided by a factor."""
     if record.name not in runs:
         return record

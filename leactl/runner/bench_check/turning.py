@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.analysis.signals.levels import standard_error
-from leactl.gap.setup.conventions import UNITS, convention, whole
+from leactl.gap.setup.conventions import UNIT_FACTORS, convention, whole_number
 from leactl.runfile.read.reader import Run
 from leactl.runner.bench_check.silence import silences
 from leactl.runner.bench_check.statement import DEVIATION_STDS, Statement, StatementVerdict, ratio, setting
@@ -105,8 +105,8 @@ def factor_of_a_turn(slope: Slope, pole_pairs: int) -> str:
     error = DEVIATION_STDS * slope.std / size
     if of_size_one(slope):
         return f"turned, by {size:.3g}" if turned and abs(math.log(size)) > LAG_ERROR else turned
-    name, number = convention(size, error), whole(size, error)
-    if name in UNITS and number is None:
+    name, number = convention(size, error), whole_number(size, error)
+    if name in UNIT_FACTORS and number is None:
         return " and ".join(filter(None, (turned, f"near {name}: another unit")))
     if number is None:
         return f"turned, and by {size:.4g}, which is no usual factor" if turned else ""
