@@ -168,10 +168,10 @@ def diagnose(
     InputError : files that cannot be used, runs with nothing that the model could be checked with, or simulated runs of
         other inputs or of another machine.
     """
-    from leactl.gap.simulated.request import answer_of
+    from leactl.gap.simulated.request import requested_diagnosis
 
     start = None if model is None else Path(model)
-    return Diagnosis(**vars(answer_of(_paths(fit), _paths(held_out), start, _paths(simulated), progress)))
+    return Diagnosis(**vars(requested_diagnosis(_paths(fit), _paths(held_out), start, _paths(simulated), progress)))
 
 
 def simulate(model: Place, run: Place, out: Place | None = None) -> Simulated:

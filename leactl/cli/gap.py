@@ -86,7 +86,7 @@ def diagnose_runs(
     write_model: Path | None = typer.Option(None, "--write-model", help="Write the calibrated, augmented model."),
 ) -> None:
     """Say where the model and the runs disagree, which unmodelled effect causes it, and how far the gap shrinks."""
-    from leactl.gap.simulated.request import answer_of
+    from leactl.gap.simulated.request import requested_diagnosis
     from leactl.report.gap_files import STDOUT, Outputs
     from leactl.report.gap_text import print_diagnosis
     from leactl.report.progress_line import ProgressLine
@@ -94,7 +94,7 @@ def diagnose_runs(
     outputs = Outputs(json_out, html, write_model)
     outputs.check([*runs, *held_out, *simulated, *([] if model is None else [model])])
     with ProgressLine() as step:
-        answer = answer_of(runs, held_out, model, simulated, step)
+        answer = requested_diagnosis(runs, held_out, model, simulated, step)
         step("writing")
         outputs.write(answer)
     if json_out != STDOUT:

@@ -286,7 +286,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     stamps = evidence.stamping(searched.fit)
     replayed = [stamped(record, stamps) for record in case.replayed()]
     if servo_runs:
-        replayed = servo_answer.on_time(replayed, case.model, fitted_sets.late)
+        replayed = servo_answer.with_delayed_references(replayed, case.model, fitted_sets.late)
     applied = apply(
         case.model,
         calibrated_alone,
@@ -301,7 +301,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     shrunk = applied.shrunk
     causes = confirmed_causes(causes, applied)
     if servo_runs:
-        surprise = unexplained_in_channels(servo_answer.unfollowed(shrunk.shrinkage, replayed), {})
+        surprise = unexplained_in_channels(servo_answer.angle_error_ratios(shrunk.shrinkage, replayed), {})
     located = where(replayed, shrunk.channels, applied.fitted.causes)
     notes = condition_notes(case.fitted, case.held_out) + reading_notes([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:

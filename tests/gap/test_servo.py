@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import Case, diagnose, hold_out_runs
-from leactl.gap.servo.effect_sets import fit_effect_sets, standing_of
+from leactl.gap.servo.effect_sets import fit_effect_sets, likely_effects
 from leactl.gap.servo.fit import FittedServo, fit
 from leactl.gap.servo.runs import servo_runs
 from leactl.gap.servo.simulation import replay, table
@@ -183,7 +183,7 @@ def test_what_other_runs_lose_by_more_than_the_fitted_ones_gain_is_not_believed(
     }
     for unseen, believed in ((bench(tmp_path), False), (bench(tmp_path, load=0.2), True)):
         runs = servo_runs(unseen, servo_model())
-        (effect,) = standing_of(sets, load, runs, runs)
+        (effect,) = likely_effects(sets, load, runs, runs)
         assert (effect.probability > 0.9) == believed
 
 

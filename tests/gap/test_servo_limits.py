@@ -11,7 +11,7 @@ from leactl.gap.diagnose import diagnose
 from leactl.gap.replay import replay
 from leactl.gap.search.parameters import with_effects
 from leactl.gap.servo.effect_sets import fit_effect_sets
-from leactl.gap.servo.profile import profile, shifted
+from leactl.gap.servo.profile import delayed_rows, profile
 from leactl.gap.setup import find_and_mend_faults
 from leactl.model.nominal import Model, read_model
 from tests.gap import servos
@@ -105,8 +105,8 @@ def test_a_set_point_without_a_limit_is_its_reference():
     begins, ends = profile(reference, 0.01, np.array([[0.0]]), np.array([[0.0]]))
     np.testing.assert_allclose(begins[0], reference)
     np.testing.assert_allclose(ends[0], reference)
-    np.testing.assert_allclose(shifted(reference, 1.0)[:, 1:], reference[:, :-1])
-    np.testing.assert_allclose(shifted(reference, -1.0)[:, :-1], reference[:, 1:])
+    np.testing.assert_allclose(delayed_rows(reference, 1.0)[:, 1:], reference[:, :-1])
+    np.testing.assert_allclose(delayed_rows(reference, -1.0)[:, :-1], reference[:, 1:])
 
 
 @pytest.mark.parametrize(

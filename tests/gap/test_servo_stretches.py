@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from leactl.gap.servo.stretches import LEAST_SCORED, cut
+from leactl.gap.servo.stretches import LEAST_SCORED_RATIO, cut_runs
 
 
 @given(st.integers(2, 60_000), st.integers(1, 400), st.integers(1, 3))
@@ -22,11 +22,11 @@ def test_every_sample_is_scored(samples, forgets, runs):
         interval=0.01,
         speed=np.zeros(runs),
     )
-    stretches = cut(logged)
+    stretches = cut_runs(logged)
     scored = np.zeros((runs, samples), int)
     for run, first, scored_from in zip(stretches.run, stretches.first, stretches.scored_from, strict=True):
         assert 0 <= first <= scored_from < samples
         assert scored_from == first == 0 or scored_from - first == forgets
         scored[run, scored_from : first + stretches.length] += 1
     assert (scored >= 1).all()
-    assert stretches.length == samples or stretches.length - forgets >= LEAST_SCORED * forgets
+    assert stretches.length == samples or stretches.length - forgets >= LEAST_SCORED_RATIO * forgets

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leactl.errors import InputError
-from leactl.gap.simulated.inputs import RunCommand, outside, tolerance_of
-from leactl.gap.simulated.pairing import paired
+from leactl.gap.simulated.inputs import RunCommand, distance_outside, tolerance_of
+from leactl.gap.simulated.pairing import pair_runs
 from tests.cli.terminal import leactl
 from tests.gap.test_simulated import MODEL, RATE, reference, write
 
@@ -24,12 +24,12 @@ def run(folder, name, kind="ramp", again=0, change=lambda asked: asked, **names)
 
 
 def pairs(real, simulated):
-    return [(pair.simulated, pair.paired_by) for pair in paired(real, simulated)]
+    return [(pair.simulated, pair.paired_by) for pair in pair_runs(real, simulated)]
 
 
 def refused(real, simulated):
     with pytest.raises(InputError) as error:
-        paired(real, simulated)
+        pair_runs(real, simulated)
     return error.value.faults
 
 
@@ -136,7 +136,7 @@ def test_a_command_is_the_same_at_another_rate_and_within_a_few_samples(levels, 
     seen = values[np.clip((theirs - shift) * 2.0, 0, 7).astype(int)]
     asked = values[np.clip(ours * 2.0, 0, 7).astype(int)]
     reach = 3.0 / min(rate, 500.0)
-    beyond = outside(ours, asked, RunCommand(theirs, seen, "A"), reach)
+    beyond = distance_outside(ours, asked, RunCommand(theirs, seen, "A"), reach)
     assert np.max(beyond[ours <= theirs[-1]]) <= tolerance_of(asked, seen)
 
 
@@ -145,5 +145,5 @@ def test_another_amplitude_is_a_mismatch(more, noise):
     time = np.arange(2000) / 500.0
     asked = np.sin(2.0 * np.pi * time)
     noisy = asked + 0.005 * noise * np.random.default_rng(0).standard_normal(len(time))
-    beyond = outside(time, (1.0 + more) * asked, RunCommand(time, noisy, "A"), 0.006)
+    beyond = distance_outside(time, (1.0 + more) * asked, RunCommand(time, noisy, "A"), 0.006)
     assert np.max(beyond) > tolerance_of((1.0 + more) * asked, noisy)

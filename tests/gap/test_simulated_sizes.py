@@ -14,7 +14,7 @@ from leactl.gap.signals.derived import fast_signals
 from leactl.gap.simulated.comparing import (
     SideBySide,
     SizeInReal,
-    of_another_machine,
+    other_machine_notes,
     side_by_side_in_free_runs,
     without_shared_causes,
 )
@@ -109,13 +109,13 @@ def test_what_both_show_though_it_is_small_in_the_simulator_is_told():
 def test_a_parameter_far_off_asks_whether_it_is_the_same_machine():
     far = CalibratedParameter("rotor_inertia", 0.01, 0.02, 1e-5, "kg*m^2")
     near = CalibratedParameter("rotor_inertia", 0.01, 0.013, 1e-5, "kg*m^2")
-    assert of_another_machine([far]) == ("is this the same machine? rotor_inertia is 2 times the simulator's",)
-    assert of_another_machine([near]) == ()
+    assert other_machine_notes([far]) == ("is this the same machine? rotor_inertia is 2 times the simulator's",)
+    assert other_machine_notes([near]) == ()
 
 
 def test_an_ambient_that_is_warmer_than_the_simulator_s_is_no_sign_of_another_machine():
     offset = CalibratedParameter("ambient_offset", 0.02, -0.4, 0.1, "K")
-    assert of_another_machine([offset]) == ()
+    assert other_machine_notes([offset]) == ()
     assert change_text(offset) == ""
 
 

@@ -10,7 +10,7 @@ from leactl.gap.diagnose import diagnose, read_case
 from leactl.processes import Progress, Workers, each
 from leactl.runfile.publish import replacement
 
-MODEL = "nominal.yaml"
+MODEL_FILE = "nominal.yaml"  # name of the nominal model in the folder of a case
 
 
 def case_names(cases: Path) -> list[str]:
@@ -20,7 +20,7 @@ def case_names(cases: Path) -> list[str]:
     ------
     InputError : there is none.
     """
-    names = sorted(path.parent.name for path in cases.glob(f"*/{MODEL}"))
+    names = sorted(path.parent.name for path in cases.glob(f"*/{MODEL_FILE}"))
     if not names:
         raise InputError(f"{cases}: no case in it; a folder that `leactl gap blind make` wrote was expected")
     return names
@@ -44,7 +44,7 @@ def answer_all(cases: Path, answers: Path, workers: Workers, progress: Progress)
 
 def answer(case: Path, out: Path) -> None:
     """Diagnose one case and write its answer."""
-    write(out, diagnose(read_case(runs_of(case), [], case / MODEL)).as_json())
+    write(out, diagnose(read_case(runs_of(case), [], case / MODEL_FILE)).as_json())
 
 
 def runs_of(case: Path) -> list[Path]:

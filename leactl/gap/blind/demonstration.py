@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from leactl.gap.blind.answers import MODEL, case_names, runs_of, write
+from leactl.gap.blind.answers import MODEL_FILE, case_names, runs_of, write
 from leactl.gap.blind.check import OpenKey
 from leactl.gap.blind.truth import Truth
 from leactl.gap.diagnose import diagnose, read_case
@@ -61,7 +61,7 @@ def demonstrate(cases: Path, out: Path, open_key: OpenKey, progress: Progress) -
     InputError : no case, one that cannot be diagnosed, or a key that is not its own.
     """
     [name] = case_names(cases)
-    answer = diagnose(read_case(runs_of(cases / name), [], cases / name / MODEL), progress)
+    answer = diagnose(read_case(runs_of(cases / name), [], cases / name / MODEL_FILE), progress)
     write(out, answer.as_json())
     progress("opening the key")
     truth = Truth.of(open_key()["cases"][name])

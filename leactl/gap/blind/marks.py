@@ -8,12 +8,12 @@ from leactl.gap.blind.truth import Truth
 from leactl.gap.verdict.decision import NAMED_PROBABILITY
 from leactl.gap.verdict.withdrawal import MOST_EQUAL_RATIO
 
-LEAST_MOVED = 1.0  # floors below which a gap is hidden in noise
-AS_GOOD = 0.9  # share of the most floors moved that counts as equal: two actuators measure the speed of one shaft
-GAP = 1.1  # floors below which an oracle finds no gap to close
-SAME_NUMBER = "back_emf_constant"  # in power-invariant units the torque constant again
-REPLACED = {"shaft_compliance": "bench.shaft_stiffness"}  # an effect whose parameter stands for one of the model's
-NO_TRUTH = "ambient_offset"  # the plant has no true value of it
+LEAST_MOVED_FLOORS = 1.0  # floors; a smaller gap is hidden in noise
+EQUAL_MOVE_SHARE = 0.9  # share of the largest move from which a move is as large: two actuators measure one shaft
+LEAST_GAP_FLOORS = 1.1  # floors; an oracle finds no smaller gap to close
+DUPLICATE_PARAMETER = "back_emf_constant"  # equals the torque constant in power-invariant units
+REPLACED_PARAMETERS = {"shaft_compliance": "bench.shaft_stiffness"}  # parameter of the model that an effect replaces
+PARAMETER_WITHOUT_TRUTH = "ambient_offset"  # the plant has no true value of it
 Document = Mapping[str, Any]
 
 
@@ -101,11 +101,11 @@ def mark(name: str, truth: Truth, answer: Document, measured: Document) -> Mark:
     reported = tuple(n for cause in first_cause for n in (cause["effect"], *cause["indistinguishable_from"]))
     closed = oracle_closed = None
     moved_channels, left_channels = (
-        farthest(measured["moved"], quantity) for quantity in ("by_effects", "after_calibration")
+        most_moved_channels(measured["moved"], quantity) for quantity in ("by_effects", "after_calibration")
     )
     if left_channels:
         closed, oracle_closed = shares_closed(left_channels[0], answer["shrinkage"], measured["oracle"])
-    first_channel = place(answer["where"][0]) if answer["where"] else None
+    first_channel = channel_key(answer["where"][0]) if answer["where"] else None
     verdict = answer["verdict"]
     moved_right, left_right = (
         first_channel in channels if channels else None for channels in (moved_channels, left_channels)
@@ -143,14 +143,14 @@ def narrows(lines: Sequence[Document], before: str, after: str) -> bool | None:
     return bool(squares_after <= MOST_EQUAL_RATIO * squares_before)
 
 
-def farthest(lines: Sequence[Document], by: str) -> list[tuple[str, str, str]]:
+def most_moved_channels(lines: Sequence[Document], by: str) -> list[tuple[str, str, str]]:
     """Return the channels with the largest move and those nearly as large; none where all are below their floor."""
     ranked = sorted(lines, key=lambda line: -float(line[by]))
     most = float(ranked[0][by]) if ranked else 0.0
-    return [place(line) for line in ranked if line[by] >= max(LEAST_MOVED, AS_GOOD * most)]
+    return [channel_key(line) for line in ranked if line[by] >= max(LEAST_MOVED_FLOORS, EQUAL_MOVE_SHARE * most)]
 
 
-def place(line: Document) -> tuple[str, str, str]:
+def channel_key(line: Document) -> tuple[str, str, str]:
     """Return the channel and set-up of a line."""
     return line["quantity"], line["role"], line["mechanical"]
 
@@ -159,9 +159,13 @@ def shares_closed(
     channel: tuple[str, str, str], answered: Sequence[Document], oracle_lines: Sequence[Document]
 ) -> tuple[float | None, float | None]:
     """Return the shares of a channel's gap that an answer and the oracle close, by the oracle's gap and floor."""
-    answered_line = next((line for line in answered if place(line) == channel), None)
-    oracle_line = next((line for line in oracle_lines if place(line) == channel), None)
-    if answered_line is None or oracle_line is None or oracle_line["calibrated_rms"] <= GAP * oracle_line["floor_rms"]:
+    answered_line = next((line for line in answered if channel_key(line) == channel), None)
+    oracle_line = next((line for line in oracle_lines if channel_key(line) == channel), None)
+    if (
+        answered_line is None
+        or oracle_line is None
+        or oracle_line["calibrated_rms"] <= LEAST_GAP_FLOORS * oracle_line["floor_rms"]
+    ):
         return None, None
     gap = oracle_line["calibrated_rms"] - oracle_line["floor_rms"]
     shares = [(oracle_line["calibrated_rms"] - line["augmented_rms"]) / gap for line in (answered_line, oracle_line)]
@@ -170,7 +174,10 @@ def shares_closed(
 
 def departures_of(truth: Truth, calibration: Sequence[Document]) -> list[Departure]:
     """Return the departures of fitted parameters from the true ones, where the truth is one number."""
-    replaced = {REPLACED[name] for name in truth.effects if name in REPLACED} | {SAME_NUMBER, NO_TRUTH}
+    replaced = {REPLACED_PARAMETERS[name] for name in truth.effects if name in REPLACED_PARAMETERS} | {
+        DUPLICATE_PARAMETER,
+        PARAMETER_WITHOUT_TRUTH,
+    }
     fitted = {line["parameter"]: line["fitted"] for line in calibration}
     reference, true_reference = 1.0, 1.0
     if truth.ratios_to is not None:

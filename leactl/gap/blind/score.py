@@ -7,21 +7,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.gap.blind.marks import Departure, Mark
-from leactl.gap.blind.truth import BENCH
+from leactl.gap.blind.truth import BENCH_MACHINE
 
-Z = 1.959964  # of a 95 % interval
-BINS = 10
-MEDIAN_WITHIN, MOST_WITHIN = 0.03, 0.08  # of the oracle's share: half and nine tenths of the cases are to be so close
-STDS = 2.0  # that a calibrated parameter may be off
+Z = 1.959964  # standard deviations on either side that hold 95 %
+PROBABILITY_BINS = 10
+MOST_MEDIAN_DISTANCE = 0.03  # from the share that the oracle closes, for half of the cases
+MOST_USUAL_DISTANCE = 0.08  # the same for nine tenths of the cases
+MOST_PARAMETER_STDS = 2.0  # standard errors by which a calibrated parameter may differ from the truth
 Test = Callable[[Mark], bool]
-KINDS = ("single", "pair", "none", "unknown")
+CASE_KINDS = ("single", "pair", "none", "unknown")
 PLAIN, FAINT = "one effect, plain or strong: first cause right", "one effect, faint: first cause right"
 NOTHING, SOUND = "nothing but wrong parameters: an effect named", "nothing but wrong parameters: called sound"
 OUTSIDE = "an effect outside the vocabulary: unknown, no cause named"
 NOT_THERE = "any case: an effect named that is not there, further ones counted"
 GREW = "an effect named: the held-out gap grew with it"
 WORSE = "recalibrated: the held-out gap grew by that"
-CHIEF = (PLAIN, FAINT, SOUND, OUTSIDE, NOT_THERE)  # shown by group
+CHIEF_QUESTIONS = (PLAIN, FAINT, SOUND, OUTSIDE, NOT_THERE)  # questions that are also shown by group
 
 
 @dataclass(frozen=True)
@@ -109,28 +110,28 @@ class Score:
 
 def score(marks: Sequence[Mark]) -> Score:
     """Return all figures of a set of marks."""
-    questions = asked(marks)
+    questions = questions_about(marks)
     shares = [share_of(question) for question in questions]
     misses = [
-        Miss(m.name, question.text, what_acts(m), what_was_said(m))
+        Miss(m.name, question.text, truth_text(m), answer_text(m))
         for question in questions
         for m in question.among
         if question.test(m) == question.target.startswith("<=")
     ]
     known = [m for m in marks if m.truth.kind != "unknown"]
     departures = [d for m in known for d in m.departures]
-    shares.append(within("calibrated parameters within 2 standard errors of the truth", departures))
+    shares.append(share_within_stds("calibrated parameters within 2 standard errors of the truth", departures))
     behind = [abs(m.closed - m.oracle_closed) for m in marks if m.closed is not None and m.oracle_closed is not None]
     names = sorted({d.parameter for d in departures})
     sets = [len(m.reported) for m in marks if m.truth.kind == "single" and m.reported]
     return Score(
         len(marks),
-        (*shares, *near_oracle(behind)),
+        (*shares, *oracle_shares(behind)),
         float(np.mean(sets)) if sets else None,
         calibration(marks),
         calibration([m for m in marks if m.causes]),
         (float(np.median(behind)), float(np.quantile(behind, 0.9))) if behind else None,
-        tuple(within(name, [d for d in departures if d.parameter == name]) for name in names),
+        tuple(share_within_stds(name, [d for d in departures if d.parameter == name]) for name in names),
         tuple(misses),
         tuple(groups(marks)),
     )
@@ -146,10 +147,10 @@ class Question:
     test: Test
 
 
-def asked(marks: Sequence[Mark]) -> list[Question]:
+def questions_about(marks: Sequence[Mark]) -> list[Question]:
     """Return every question about a set of cases; the targets for the bench are higher than for drawn machines."""
-    bench = all(m.truth.machine == BENCH for m in marks)
-    single, pair, none, unknown = ([m for m in marks if m.truth.kind == kind] for kind in KINDS)
+    bench = all(m.truth.machine == BENCH_MACHINE for m in marks)
+    single, pair, none, unknown = ([m for m in marks if m.truth.kind == kind] for kind in CASE_KINDS)
     faint = [m for m in single if m.truth.strength == "faint"]
     plain = [m for m in single if m.truth.strength != "faint"]
     moved = [m for m in marks if m.moved_right is not None]
@@ -209,18 +210,22 @@ def groups(marks: Sequence[Mark]) -> Iterator[Group]:
         named = sorted({name_of(m) for m in marks} - {""})
         for name in named if len(named) > 1 else []:
             members = [m for m in marks if name_of(m) == name]
-            shares = tuple(share_of(question) for question in asked(members) if question.text in CHIEF)
+            shares = tuple(
+                share_of(question) for question in questions_about(members) if question.text in CHIEF_QUESTIONS
+            )
             yield Group(property_name, name, len(members), shares)
 
 
-def within(question: str, departures: Sequence[Departure]) -> Share:
+def share_within_stds(question: str, departures: Sequence[Departure]) -> Share:
     """Return the share of calibrated parameters within two standard errors of the truth."""
-    return Share(question, "92 to 98 %", sum(abs(d.stds) <= STDS for d in departures), len(departures))
+    return Share(question, "92 to 98 %", sum(abs(d.stds) <= MOST_PARAMETER_STDS for d in departures), len(departures))
 
 
-def near_oracle(behind: Sequence[float]) -> tuple[Share, Share]:
+def oracle_shares(behind: Sequence[float]) -> tuple[Share, Share]:
     """Return the shares of cases whose closed share of the gap is close to that of an oracle."""
-    median_case, most_cases = ((sum(b <= bound for b in behind), bound) for bound in (MEDIAN_WITHIN, MOST_WITHIN))
+    median_case, most_cases = (
+        (sum(b <= bound for b in behind), bound) for bound in (MOST_MEDIAN_DISTANCE, MOST_USUAL_DISTANCE)
+    )
     text = "share closed within {:.2f} of an oracle that is told the effect"
     return (
         Share(text.format(median_case[1]), ">= 50 %", median_case[0], len(behind)),
@@ -233,12 +238,14 @@ def calibration(marks: Sequence[Mark]) -> Calibration:
     stated = np.asarray([m.first_probability for m in marks], float)
     right = np.asarray([m.in_set for m in marks], float)
     bins, error = [], 0.0
-    bin_of_case = np.minimum((stated * BINS).astype(int), BINS - 1)
-    for k in range(BINS):
+    bin_of_case = np.minimum((stated * PROBABILITY_BINS).astype(int), PROBABILITY_BINS - 1)
+    for k in range(PROBABILITY_BINS):
         inside = bin_of_case == k
         if inside.any():
             mean, share = float(stated[inside].mean()), float(right[inside].mean())
-            bins.append(ProbabilityBin(k / BINS, (k + 1) / BINS, int(inside.sum()), mean, share))
+            bins.append(
+                ProbabilityBin(k / PROBABILITY_BINS, (k + 1) / PROBABILITY_BINS, int(inside.sum()), mean, share)
+            )
             error += float(inside.mean()) * abs(mean - share)
     rate = float(right.mean()) if len(right) else 0.0
     spread = rate * (1.0 - rate)
@@ -246,13 +253,13 @@ def calibration(marks: Sequence[Mark]) -> Calibration:
     return Calibration(tuple(bins), len(marks), rate, error, skill)
 
 
-def what_acts(m: Mark) -> str:
+def truth_text(m: Mark) -> str:
     """Return the truth of a case as text."""
     effects = " + ".join(m.truth.effects) or " + ".join(f"({name})" for name in m.truth.unlisted) or "nothing"
     return f"{effects}, {m.truth.strength}" if m.truth.strength else effects
 
 
-def what_was_said(m: Mark) -> str:
+def answer_text(m: Mark) -> str:
     """Return the answer to a case as text."""
     named_causes = ", ".join(f"{name} {probability:.2f}" for name, probability in m.causes[:4])
     return f"{m.verdict}: {named_causes}" if named_causes else m.verdict

@@ -14,7 +14,7 @@ import numpy as np
 
 from leactl.effects import library
 from leactl.gap import null
-from leactl.gap.blind.answers import MODEL, runs_of, write
+from leactl.gap.blind.answers import MODEL_FILE, runs_of, write
 from leactl.gap.diagnose import Case, model_with, read_case
 from leactl.gap.replay.comparison import Compared
 from leactl.gap.search.angle_periodogram import strongest_orders
@@ -29,8 +29,8 @@ from leactl.gap.verdict.shrinkage import shrinkage
 from leactl.model.nominal import Model, as_mapping
 from leactl.vocabulary.effect import effect_definition
 
-UNKNOWN = "unknown"
-BENCH = "emulated bench"  # what every case was of before machines were drawn
+UNKNOWN_EFFECT = "unknown"  # stands in the key for an effect outside the vocabulary
+BENCH_MACHINE = "emulated bench"  # machine of a key that names none: every case was of this bench then
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class Truth:
     parameters: Mapping[str, Mapping[str, float]]
     base: Mapping[str, float]  # true parameters under the names of a model file
     alike: Mapping[str, Sequence[str]] = field(default_factory=dict)  # effects that no record of this machine can tell
-    machine: str = BENCH
-    simulator: str = BENCH
+    machine: str = BENCH_MACHINE
+    simulator: str = BENCH_MACHINE
     ratios_to: str | None = None  # the parameter that the others are told in, where no run tells it
 
     @property
@@ -56,7 +56,7 @@ class Truth:
     @classmethod
     def of(cls, entry: Mapping[str, Any]) -> "Truth":
         """Return the truth of one entry of the key file."""
-        effects = tuple(name for name in entry["effects"] if name != UNKNOWN)
+        effects = tuple(name for name in entry["effects"] if name != UNKNOWN_EFFECT)
         unlisted = tuple(entry["unlisted"])
         optional = {name: entry[name] for name in ("alike", "machine", "simulator", "ratios_to") if name in entry}
         strength, parameters, base = entry["strength"], entry["parameters"], entry["true_base"]
@@ -65,11 +65,11 @@ class Truth:
 
 def measure(case: Path, entry: Mapping[str, Any], out: Path) -> None:
     """Work out what only the key allows, and write it: floors `moved` by channel, `oracle` of shrinkage."""
-    truth, read = Truth.of(entry), read_case(runs_of(case), [], case / MODEL)
+    truth, read = Truth.of(entry), read_case(runs_of(case), [], case / MODEL_FILE)
     truths: dict[str, Any] = {"moved": [], "oracle": []}
     if truth.effects:
         tuned, augmented, held_out = oracle(read, truth.effects)
-        truths["moved"] = [asdict(line) for line in moved(read, truth, tuned)]
+        truths["moved"] = [asdict(line) for line in moves_by_effects(read, truth, tuned)]
         truths["oracle"] = [asdict(line) for line in shrinkage(held_out, read.model, tuned, augmented).shrinkage]
     write(out, truths)
 
@@ -85,17 +85,17 @@ class Moved:
     after_calibration: float  # with them against the calibrated nominal model
 
 
-def moved(case: Case, truth: Truth, tuned: Model) -> list[Moved]:
+def moves_by_effects(case: Case, truth: Truth, tuned: Model) -> list[Moved]:
     """Return how far the true effects move every channel of the held-out runs."""
     true_without = true_model(case.model, truth.base)
     true_with_effects = with_effects(true_without, [(name, truth.parameters[name]) for name in truth.effects])
     groups: dict[tuple[str, str, str], list[Compared]] = {}
     for channel in shrinkage(case.held_out, true_without, tuned, true_with_effects).channels:
         groups.setdefault((channel.quantity, channel.role, channel.mechanical), []).append(channel)
-    return [Moved(*key, *(distance(group, model) for model in (0, 1))) for key, group in groups.items()]
+    return [Moved(*key, *(distance_in_floors(group, model) for model in (0, 1))) for key, group in groups.items()]
 
 
-def distance(group: Sequence[Compared], model: int) -> float:
+def distance_in_floors(group: Sequence[Compared], model: int) -> float:
     """Return the root mean square distance between a model and the last one, in floors."""
     difference = np.concatenate([channel.replayed[model] - channel.replayed[-1] for channel in group])
     floor = np.concatenate([channel.floor_squares() for channel in group])
@@ -149,9 +149,9 @@ def true_set(evidence: Evidence, effects: Sequence[str]) -> list[Candidate]:
     normal = evidence.normal()
     members = [member(evidence, normal, hypothesis, index) for index in range(len(hypothesis))]
     # a form that decays before the slowest row has a column of almost zero, whose coefficient is arbitrary
-    return [item.candidate for item in members if item is not None and item.size <= most(item.effect)]
+    return [item.candidate for item in members if item is not None and item.size <= largest_size(item.effect)]
 
 
-def most(effect: str) -> float:
+def largest_size(effect: str) -> float:
     """Return the largest size in which an effect is met."""
     return MOST_SIZE_RATIO * effect_definition(effect).largest

@@ -24,10 +24,10 @@ from leactl.protocol.plan import Engage, Plan, Segment
 
 Array = npt.NDArray[np.float64]
 CAMERA_S = 0.1  # s between temperatures, at least one sample of the other channels
-SERVO_S = 0.02  # time constant of a servo, twice in series
-AMBIENT = 25.0  # degC
-NEEDED = ("torque_constant", "rotor_inertia", "viscous_damping", "coulomb_friction")
-SERVOS = (Mode.VELOCITY, Mode.ANGLE)
+SERVO_S = 0.02  # s, time constant of each of the two equal lags of a servo
+AMBIENT_DEGC = 25.0
+NEEDED_PARAMETERS = ("torque_constant", "rotor_inertia", "viscous_damping", "coulomb_friction")
+SERVO_MODES = (Mode.VELOCITY, Mode.ANGLE)
 
 
 @cache
@@ -45,7 +45,7 @@ def planned_record(plan: Plan, model: Model, noise: Mapping[str, float]) -> Reco
     ------
     InputError : a motion that the model cannot predict, or a protocol that changes the mode of a role.
     """
-    asked = Asked(plan)
+    asked = PlannedSetpoints(plan)
     record = Record(Path(f"{plan.name} (planned)"), plan.name, plan.setup, *clocks(plan, asked, model), {})
     job = replay(record, model)
     random = np.random.default_rng(0)
@@ -57,13 +57,13 @@ def planned_record(plan: Plan, model: Model, noise: Mapping[str, float]) -> Reco
                 first = values[np.isfinite(values)][0]
                 clock.values[key] = np.where(np.isfinite(values), values, first)
         if plan.setup == "locked" and model.bench.shaft_stiffness is not None:
-            clock.values |= twisted(clock, model.bench.shaft_stiffness)
+            clock.values |= twist_angle(clock, model.bench.shaft_stiffness)
         for key in clock.values:
-            spoil(clock, key, noise, random)
+            add_noise(clock, key, noise, random)
     return record
 
 
-class Asked:
+class PlannedSetpoints:
     """Setpoints of a protocol for each role, by sample; waits, prompts, taring and pauses take no time."""
 
     def __init__(self, plan: Plan) -> None:
@@ -103,7 +103,7 @@ class Asked:
     def speed(self, role: str) -> Array | None:
         """Return the speed of a role's servo; None where no servo drives the role."""
         mode = self.modes.get(role)
-        if mode not in SERVOS:
+        if mode not in SERVO_MODES:
             return None
         decay = float(np.exp(-self.interval / SERVO_S))
         followed = self.values[role]
@@ -112,20 +112,20 @@ class Asked:
         return followed if mode is Mode.VELOCITY else np.gradient(followed, self.interval)
 
 
-def clocks(plan: Plan, asked: Asked, model: Model) -> tuple[Clocked | None, Clocked]:
+def clocks(plan: Plan, asked: PlannedSetpoints, model: Model) -> tuple[Clocked | None, Clocked]:
     """Return the clocks of a set-up with their channels; those that a replay fills are zero."""
     camera_step = max(round(CAMERA_S / asked.interval), 1)
     slow: dict[Key, Array] = {
-        (name, role): np.full_like(asked.time[::camera_step], AMBIENT)
+        (name, role): np.full_like(asked.time[::camera_step], AMBIENT_DEGC)
         for name, role in (("winding_temperature", "test"), ("housing_temperature", "test"))
     }
-    slow["ambient_temperature", "bench"] = np.full_like(asked.time[::camera_step], AMBIENT)
+    slow["ambient_temperature", "bench"] = np.full_like(asked.time[::camera_step], AMBIENT_DEGC)
     if plan.setup == "heated":
         heating = asked.current("test")
         slow["line_current", "test"] = (np.zeros_like(asked.time) if heating is None else heating)[::camera_step]
         slow["line_voltage", "test"] = np.zeros_like(asked.time[::camera_step])
         return None, clocked(asked.time[::camera_step], slow)
-    current, load_current, speed = motion(plan, asked, model)
+    current, load_current, speed = planned_motion(plan, asked, model)
     fast: dict[Key, Array] = {
         ("q_axis_current_reference", "test"): current,
         ("q_axis_current", "test"): current,
@@ -134,7 +134,7 @@ def clocks(plan: Plan, asked: Asked, model: Model) -> tuple[Clocked | None, Cloc
         ("velocity", "test"): speed,
         ("bus_voltage", "bench"): np.zeros_like(current),
     }
-    if asked.modes.get("test") in SERVOS:
+    if asked.modes.get("test") in SERVO_MODES:
         fast["velocity_reference", "test"] = speed
     if plan.setup != "free":
         fast["torque", "test"] = np.zeros_like(current)
@@ -151,13 +151,13 @@ def clocked(time: Array, values: dict[Key, Array]) -> Clocked:
     return Clocked(time, float(time[1] - time[0]), values, valid, means)
 
 
-def motion(plan: Plan, asked: Asked, model: Model) -> tuple[Array, Array, Array]:
+def planned_motion(plan: Plan, asked: PlannedSetpoints, model: Model) -> tuple[Array, Array, Array]:
     """Return the currents of test and load actuator, and the shaft's speed."""
     zeros = np.zeros_like(asked.time)
     test = asked.current("test")
     if plan.setup == "locked":
         return (zeros if test is None else test), zeros, zeros
-    missing = [name for name in NEEDED if getattr(model, name) is None]
+    missing = [name for name in NEEDED_PARAMETERS if getattr(model, name) is None]
     if (
         missing
         or model.drive is not None
@@ -170,9 +170,9 @@ def motion(plan: Plan, asked: Asked, model: Model) -> tuple[Array, Array, Array]
     load = asked.current("load") if rotors == 2 else zeros
     if turning is None:
         total_current = (zeros if test is None else test) + (zeros if load is None else load)
-        turning = spun(total_current, rotors, asked.interval, model)
+        turning = driven_speed(total_current, rotors, asked.interval, model)
     # the servo's current is that of the motion less the other actuator's
-    motion_current = rotors * resisted(turning, asked.interval, model) / (model.torque_constant or 1.0)
+    motion_current = rotors * motion_torque(turning, asked.interval, model) / (model.torque_constant or 1.0)
     if test is None:
         test = motion_current - (zeros if load is None else load)
     elif load is None or asked.current("load") is None:
@@ -180,13 +180,13 @@ def motion(plan: Plan, asked: Asked, model: Model) -> tuple[Array, Array, Array]
     return test, zeros if load is None else load, turning
 
 
-def resisted(speed: Array, interval: float, model: Model) -> Array:
+def motion_torque(speed: Array, interval: float, model: Model) -> Array:
     """Return the torque for the motion of one rotor."""
     friction = (model.viscous_damping or 0.0) * speed + (model.coulomb_friction or 0.0) * np.sign(speed)
     return np.asarray((model.rotor_inertia or 0.0) * np.gradient(speed, interval) + friction, np.float64)
 
 
-def spun(current: Array, rotors: int, interval: float, model: Model) -> Array:
+def driven_speed(current: Array, rotors: int, interval: float, model: Model) -> Array:
     """Return the speed of a shaft that currents alone drive, with sticking friction."""
     inertia, damping = rotors * (model.rotor_inertia or 1.0), rotors * (model.viscous_damping or 0.0)
     friction, decay = rotors * (model.coulomb_friction or 0.0), float(np.exp(-damping * interval / inertia))
@@ -200,13 +200,13 @@ def spun(current: Array, rotors: int, interval: float, model: Model) -> Array:
     return np.asarray(speeds)
 
 
-def twisted(clock: Clocked, stiffness: float) -> dict[Key, Array]:
+def twist_angle(clock: Clocked, stiffness: float) -> dict[Key, Array]:
     """Return the angle of a locked rotor, the shaft's twist; empty without a torque channel."""
     torque = clock.values.get(("torque", "test"))
     return {} if torque is None else {("angle", "test"): torque / stiffness}
 
 
-def spoil(clock: Clocked, key: Key, noise: Mapping[str, float], random: np.random.Generator) -> None:
+def add_noise(clock: Clocked, key: Key, noise: Mapping[str, float], random: np.random.Generator) -> None:
     """Add a sensor's noise to a channel; an angle is quantised instead."""
     spread = noise.get(key[0], 0.0)
     if key[0] == "angle" and spread > 0.0:

@@ -23,10 +23,10 @@ from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]
-ALIKE = 0.95  # cosine of projected columns above which two effects are one class
-ORDERS = 3  # orders that represent a periodic effect
-NO_BENCH = 100.0  # multiple of the smallest size worth knowing beyond which no bench has the effect
-IMITATED = 1e-6  # share of a column's square below which recalibration imitates all of it
+ALIKE_COSINE = 0.95  # cosine of projected columns above which two effects are one class
+ORDERS_PER_EFFECT = 3  # number of orders that represent a periodic effect
+MOST_NEEDED_RATIO = 100.0  # visible size over the smallest size worth knowing, beyond which no bench has the effect
+IMITATED_SHARE = 1e-6  # remaining share of a column's square below which recalibration imitates the column
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def planned_candidates(records: Sequence[Record], model: Model) -> list[Candidat
     for effect in library().values():
         if effect.periodic and effect.applies(model):
             low, high = effect.orders
-            orders = np.unique(np.rint(np.geomspace(max(low, 1), high / 2.0, ORDERS)))
+            orders = np.unique(np.rint(np.geomspace(max(low, 1), high / 2.0, ORDERS_PER_EFFECT)))
             candidates += [(effect.name, (float(order),)) for order in orders]
     return candidates
 
@@ -84,7 +84,7 @@ def sights(evidence: Evidence, runs: Sequence[str]) -> list[Sight]:
         if name in limits:
             # where forms are sizes the smallest counts; of other forms half are found from the median on
             needed = float(np.min(limits[name]) if sized_by_form(name) else np.median(limits[name]))
-            smallest = needed if worth is None or needed < NO_BENCH * worth else None
+            smallest = needed if worth is None or needed < MOST_NEEDED_RATIO * worth else None
         alike = tuple(sorted(twin for pair in twins if name in pair for twin in pair if twin != name))
         judged.append(Sight(name, smallest, worth, effect_definition(name).worth_knowing.units, alike))
     return judged
@@ -114,7 +114,7 @@ class Projected:
         scale = np.sqrt(np.diag(base_gram))
         scaled = base_gram / np.outer(scale, scale) + 1e-10 * np.eye(len(base))
         self.left = effect_gram - (cross_gram / scale[:, None]).T @ np.linalg.solve(scaled, cross_gram / scale[:, None])
-        self.kept = np.diag(self.left) > IMITATED * np.diag(effect_gram)
+        self.kept = np.diag(self.left) > IMITATED_SHARE * np.diag(effect_gram)
         self.place = {int(column): k for k, column in enumerate(self.columns)}
 
     def block(self, candidate: Candidate) -> list[int]:
@@ -129,7 +129,7 @@ class Projected:
         projected_gram = self.left[np.ix_(columns, columns)]
         scale = np.sqrt(np.diag(projected_gram))
         eigenvalues = np.linalg.eigvalsh(projected_gram / np.outer(scale, scale)) if columns else np.zeros(1)
-        return columns if float(eigenvalues[0]) > IMITATED else []
+        return columns if float(eigenvalues[0]) > IMITATED_SHARE else []
 
     def own(self, column: int) -> bool:
         """Return whether a column belongs to a single run, which need not be among the chosen ones."""
@@ -156,7 +156,7 @@ class Projected:
         return max(needed, low) if needed <= high else None
 
     def alike(self, effects: set[str]) -> set[tuple[str, str]]:
-        """Return the pairs of effects with cosines above `ALIKE` for most forms of either effect."""
+        """Return the pairs of effects with cosines above `ALIKE_COSINE` for most forms of either effect."""
         spans: dict[str, list[slice]] = {}
         rows: list[Array] = []
         for candidate in self.evidence.candidates:
@@ -174,7 +174,7 @@ class Projected:
                 [[np.linalg.norm(cosines[p, q], 2) for q in spans[second_effect]] for p in spans[first_effect]]
             )
             # a small lag is a small delay whatever the experiment: what counts is most of the sizes
-            if min(np.mean(table.max(axis=1) > ALIKE), np.mean(table.max(axis=0) > ALIKE)) > 0.5:
+            if min(np.mean(table.max(axis=1) > ALIKE_COSINE), np.mean(table.max(axis=0) > ALIKE_COSINE)) > 0.5:
                 pairs.add((first_effect, second_effect))
         return pairs
 

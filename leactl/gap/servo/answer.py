@@ -13,9 +13,9 @@ from leactl.gap.replay.job import Job
 from leactl.gap.search.parameters import LEAST_MODEL_ERROR, UNITS, with_effects
 from leactl.gap.servo.effect_sets import MODEL_PARAMETERS, FittedEffectSets
 from leactl.gap.servo.fit import FittedServo
-from leactl.gap.servo.profile import shifted
+from leactl.gap.servo.profile import delayed_rows
 from leactl.gap.servo.runs import runs_at_common_rate
-from leactl.gap.servo.simulation import FREE
+from leactl.gap.servo.simulation import FREE_PARAMETERS
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.rig import drive_of
 from leactl.gap.verdict.decision import NAMED_PROBABILITY
@@ -23,7 +23,7 @@ from leactl.gap.verdict.judge import UNCONFIRMED_FACTOR
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 
-SIMULATED = {name.partition(".")[0] for name in FREE if "." in name}
+SIMULATED_EFFECTS = {name.partition(".")[0] for name in FREE_PARAMETERS if "." in name}
 """Effects that the simulation of a servo includes."""
 ALLOWED_RMS_OVER_FLOOR = 3.0  # RMS error over floor that a replay without the rig's load zero and delay may have
 LEAST_LEAP_RATIO = 2.0  # step of the reference over the fastest step of the axis, above which the reference leaps
@@ -39,7 +39,7 @@ def judged_by_runs(model: Model, records: Sequence[Record]) -> bool:
     They do if a position servo drives a run, no run logs its q-axis current, the servo simulation includes every effect
     of the model, and the model has a torque constant, a phase resistance and a rotor inertia.
     """
-    known = all(entry.effect in SIMULATED for entry in model.effects)
+    known = all(entry.effect in SIMULATED_EFFECTS for entry in model.effects)
     moves = model.torque_constant and model.phase_resistance and model.rotor_inertia
     logs_current = any(record.fast is not None and record.fast.get("q_axis_current") is not None for record in records)
     return bool(known and moves and not logs_current and runs_at_common_rate(records, model))
@@ -56,7 +56,7 @@ def rig_note(fitted_sets: FittedEffectSets, pendulum: bool, left_out: Sequence[R
     return note, f"not among the servo's free runs, for another pace or want of a reference: {names}"
 
 
-def on_time(records: Sequence[Record], model: Model, late: float) -> list[Record]:
+def with_delayed_references(records: Sequence[Record], model: Model, late: float) -> list[Record]:
     """Delay the references of servo runs by `late` [s], so that a delay hidden by stamps is no error of the model."""
     return [_shifted(record, late) if drive_of(record, model) is not None else record for record in records]
 
@@ -65,7 +65,7 @@ def _shifted(record: Record, late: float) -> Record:
     clock = record.fast
     assert clock is not None
     key = ("angle_reference", "test")
-    values = clock.values | {key: shifted(clock.values[key][None], late / clock.interval)[0]}
+    values = clock.values | {key: delayed_rows(clock.values[key][None], late / clock.interval)[0]}
     return replace(record, fast=replace(clock, values=values))
 
 
@@ -90,7 +90,7 @@ def causes(
         for item in fitted_sets.standing
     ]
     named = [_entry(cause) for cause in from_free_runs if cause.probability >= NAMED_PROBABILITY]
-    from_balance = [cause for cause in balanced if cause.effect not in SIMULATED]
+    from_balance = [cause for cause in balanced if cause.effect not in SIMULATED_EFFECTS]
     if from_balance:
         error_without, *with_each = mean_square_errors(
             records, [with_effects(calibrated, [*named, *more]) for more in [[], *([_entry(c)] for c in from_balance)]]
@@ -122,9 +122,9 @@ def _entry(cause: Cause) -> tuple[str, dict[str, float]]:
     return cause.effect, {parameter.name: parameter.value for parameter in cause.parameters}
 
 
-def unfollowed(shrinkage: Sequence[Shrinkage], records: Sequence[Record]) -> dict[tuple[str, str, str], float]:
+def angle_error_ratios(shrinkage: Sequence[Shrinkage], records: Sequence[Record]) -> dict[tuple[str, str, str], float]:
     """Return the augmented model's mean square angle error over the allowed one, by (equation, quantity, set-up)."""
-    hidden = STAMP_ERROR_FACTOR * float(np.mean([hidden_by_stamps(record) for record in records]))
+    hidden = STAMP_ERROR_FACTOR * float(np.mean([error_hidden_by_stamps(record) for record in records]))
     return {
         ("free run", line.quantity, line.mechanical): line.augmented_rms**2
         / ((ALLOWED_RMS_OVER_FLOOR * line.floor_rms) ** 2 + hidden)
@@ -133,7 +133,7 @@ def unfollowed(shrinkage: Sequence[Shrinkage], records: Sequence[Record]) -> dic
     }
 
 
-def hidden_by_stamps(record: Record) -> float:
+def error_hidden_by_stamps(record: Record) -> float:
     """Return the mean square error [rad^2] of an axis due to leaps of its reference at unknown times between stamps."""
     clock = record.fast
     if clock is None or ("angle_reference", "test") not in clock.unstamped or clock.get("angle") is None:

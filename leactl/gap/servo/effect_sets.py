@@ -17,8 +17,8 @@ import numpy.typing as npt
 from leactl.gap.search.effect_regression import rows_per_independent
 from leactl.gap.search.regression import Candidate
 from leactl.gap.servo.fit import FINAL_LEAST_GAIN, FittedServo, MeasuredServoRuns, cost, fit
-from leactl.gap.servo.limits import DRIVE, acts, drive_starts, to_effect_parameters, to_fit_parameters
-from leactl.gap.servo.profile import PROFILE
+from leactl.gap.servo.limits import DRIVE_EFFECTS, acts, drive_starts, to_effect_parameters, to_fit_parameters
+from leactl.gap.servo.profile import PROFILE_PARAMETERS
 from leactl.gap.servo.runs import ServoRuns, runs_at_common_rate, servo_runs
 from leactl.gap.servo.simulation import Parameters, parts_of, table
 from leactl.gap.signals.record import Record
@@ -30,16 +30,16 @@ Array = npt.NDArray[np.float64]
 Set = frozenset[str]
 MODEL_PARAMETERS = ("torque_constant", "phase_resistance", "rotor_inertia", "viscous_damping", "coulomb_friction")
 RIG_PARAMETERS = ("load_zero", "reference_delay", "voltage_delay")  # of the rig; no model file holds them
-ALWAYS: Set = frozenset({"load_dependent_friction", "saturation", "stribeck"})
+ALWAYS_TRIED: Set = frozenset({"load_dependent_friction", "saturation", "stribeck"})
 MOST_PROPOSED = 2  # most effects proposed by a balance that are tried in addition
 COST_FORM_ERROR = 0.05  # relative gain in cost of an effect that only imitates another, or by chance of the search
 """On the XL330's logs, friction over the angle at any order gains 2 to 15 % beyond the others, by where a fit ends."""
-DRIVE_FORM_ERROR = 0.01  # share of the cost taken by the drive's effects that their forms may leave over
-IGNORED_RMS_COUNTS = 1.0  # RMS error in encoder counts, below which a closer fit does not matter
-LOST = 0.1  # share of the torque lost at the largest current, from which fits of saturation begin
-FADES = (0.03, 0.15)  # Stribeck velocities from which fits begin, as shares of the fast speeds
+DRIVE_FORM_ERROR = 0.01  # share of the cost removed by the drive's effects that their inexact forms may leave
+IGNORED_RMS_COUNTS = 1.0  # RMS error in encoder counts below which a closer fit does not matter
+START_LOSS = 0.1  # share of the torque lost at the largest current, from which fits of saturation begin
+START_STRIBECK_SHARES = (0.03, 0.15)  # Stribeck velocities from which fits begin, as shares of the fast speeds
 SIZE_ALWAYS_TRIED = 2  # effects; sets up to this size are tried even if smaller ones gain little
-FEWEST_RUNS_FOR_SPREAD = 4  # below, standard errors do not include the spread between runs
+FEWEST_RUNS_FOR_SPREAD = 4  # runs; with fewer, standard errors do not include the spread between runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +91,9 @@ def fit_effect_sets(
     drive = drive_starts(runs, [begin, plain.parameters])
     core = sets.grow(frozenset(), {name: starts for name, starts in drive.items() if name not in in_model})
     starts = {name: start for name, start in starts_of(runs, model, proposed).items() if name not in in_model}
-    base: Set = frozenset(ALWAYS & starts.keys())
+    base: Set = frozenset(ALWAYS_TRIED & starts.keys())
     members = sets.grow(core, {name: starts[name] for name in sorted(base)})
-    for effect in [name for name, _ in proposed if name in starts.keys() - ALWAYS][:MOST_PROPOSED]:
+    for effect in [name for name, _ in proposed if name in starts.keys() - ALWAYS_TRIED][:MOST_PROPOSED]:
         smaller = [core.union(subset) for size in range(len(base) + 1) for subset in combinations(sorted(base), size)]
         # sets are not tried beyond one that follows the runs closely
         smaller = [subset for subset in smaller if subset in sets]
@@ -108,7 +108,7 @@ def fit_effect_sets(
         base = members - core
     unseen = runs_at_common_rate(held_out, model)
     sets.fit_missing([members - {name} for name in sorted(members)], members)
-    standing = standing_of(sets, members, runs, servo_runs(unseen, model) if unseen else None)
+    standing = likely_effects(sets, members, runs, servo_runs(unseen, model) if unseen else None)
     named = frozenset(item.effect for item in standing if item.probability >= NAMED_PROBABILITY)
     sets.fit_missing([named, frozenset()], members)
     final = sets.settle(named)
@@ -130,8 +130,8 @@ class Sets(dict[Set, FittedServo]):
         The profile parameters of a core stay as fitted. No larger set is tried once a set follows the runs so closely
         that no further effect could be named.
         """
-        held = (*self._held, *(PROFILE if "reference_rate_limit" in core else ()))
-        judged = DRIVE & starts.keys()
+        held = (*self._held, *(PROFILE_PARAMETERS if "reference_rate_limit" in core else ()))
+        judged = DRIVE_EFFECTS & starts.keys()
         for size in range(len(starts)):
             made = [m for m in self if m >= core and m - core <= starts.keys() and len(m) == size + len(core)]
             best = min(made, key=lambda members: self[members].cost)
@@ -145,7 +145,7 @@ class Sets(dict[Set, FittedServo]):
                     base = dict(self[members].parameters)
                     if effect == "load_dependent_friction":
                         base["coulomb_friction"] *= 0.5  # of which it takes the place
-                    jobs += [(members, effect, base | start) for start in beginnings(starts, effect, size)]
+                    jobs += [(members, effect, base | start) for start in starts_beside(starts, effect, size)]
             fitted = fit(self._runs, [start for _, _, start in jobs], held)
             for (fewer, effect, _), result in zip(jobs, fitted, strict=True):
                 # the fit without an effect replaces one in which it does not act
@@ -198,9 +198,9 @@ class Sets(dict[Set, FittedServo]):
         return members
 
 
-def beginnings(starts: Mapping[str, Sequence[Parameters]], effect: str, beside: int) -> Sequence[Parameters]:
+def starts_beside(starts: Mapping[str, Sequence[Parameters]], effect: str, beside: int) -> Sequence[Parameters]:
     """Return the starts of an effect's fit; a drive's effect added to others starts with its own parameters only."""
-    if beside == 0 or effect not in DRIVE:
+    if beside == 0 or effect not in DRIVE_EFFECTS:
         return starts[effect]
     return [{name: value for name, value in starts[effect][0].items() if name.startswith(f"{effect}.")}]
 
@@ -211,7 +211,7 @@ def unidentifiable(runs: ServoRuns) -> tuple[str, ...]:
     return none if runs.voltage_logged.any() else (*none, "voltage_delay")
 
 
-def standing_of(
+def likely_effects(
     sets: Mapping[Set, FittedServo], members: Set, runs: ServoRuns, unseen: ServoRuns | None
 ) -> tuple[LikelyEffect, ...]:
     """Return members and further effects with their probabilities, most probable first.
@@ -237,7 +237,7 @@ def standing_of(
             * (1.0 if unseen_loss[name] < worse[name] else UNCONFIRMED_FACTOR),
             worse[name] / sum(worse.values()),
             parameters_of(name, fitted, stds),
-            in_place_of(sets, members, name, runs),
+            peers_of(sets, members, name, runs),
         )
         for name in members
     ]
@@ -253,7 +253,7 @@ def standing_of(
     return tuple(sorted(standings, key=lambda item: (-item.probability, -item.share)))
 
 
-def in_place_of(sets: Mapping[Set, FittedServo], members: Set, name: str, runs: ServoRuns) -> tuple[str, ...]:
+def peers_of(sets: Mapping[Set, FittedServo], members: Set, name: str, runs: ServoRuns) -> tuple[str, ...]:
     """Effects that follow the runs as well in the place of a member, as far as forms can tell."""
     others = {
         other: next(iter(other - members)) for other in sets if members - other == {name} and len(other - members) == 1
@@ -289,8 +289,11 @@ def starts_of(runs: ServoRuns, model: Model, proposed: Sequence[Candidate]) -> d
     shape = forms.get("stribeck", (1.0, 1.0))[1]
     by_effect: dict[str, list[Parameters]] = {
         "load_dependent_friction": [{"coefficient": 0.1}],
-        "saturation": [{"loss": LOST, "exponent": exponent, "current": max(largest, 1e-3)}],
-        "stribeck": [{"breakaway_ratio": 0.1, "stribeck_velocity": share * fast, "shape": shape} for share in FADES],
+        "saturation": [{"loss": START_LOSS, "exponent": exponent, "current": max(largest, 1e-3)}],
+        "stribeck": [
+            {"breakaway_ratio": 0.1, "stribeck_velocity": share * fast, "shape": shape}
+            for share in START_STRIBECK_SHARES
+        ],
     }
     for name, form in proposed:
         if name == "position_dependent_friction":
@@ -326,8 +329,8 @@ def open_cost(sets: Mapping[Set, FittedServo], members: Set, judged: Set, runs: 
     judged themselves.
     """
     left_open = len(sets[members].error) * (IGNORED_RMS_COUNTS * runs.encoder_resolution) ** 2
-    drive = members & DRIVE
-    if drive and not judged & DRIVE and members - drive in sets:
+    drive = members & DRIVE_EFFECTS
+    if drive and not judged & DRIVE_EFFECTS and members - drive in sets:
         left_open += DRIVE_FORM_ERROR * max(sets[members - drive].cost - sets[members].cost, 0.0)
     return left_open
 
@@ -368,7 +371,7 @@ def parameters_of(effect: str, fitted: FittedServo, stds: Mapping[str, float]) -
         for name, value in fitted.parameters.items()
         if name.startswith(f"{effect}.")
     }
-    if effect in DRIVE:
+    if effect in DRIVE_EFFECTS:
         return to_effect_parameters(effect, parameters)
     if "cos" not in parameters:
         return parameters

@@ -11,18 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.servo.profile import PROFILE, SetPoints
+from leactl.gap.servo.profile import PROFILE_PARAMETERS, SetPoints
 from leactl.gap.servo.runs import ServoRuns
-from leactl.gap.servo.simulation import SHAPES, SIGNED, Parameters, simulate, table, voltages
-from leactl.gap.servo.stretches import Stretches, cut
+from leactl.gap.servo.simulation import SHAPE_DEFAULTS, SIGNED_PARAMETERS, Parameters, simulate, table, voltages
+from leactl.gap.servo.stretches import Stretches, cut_runs
 
 Array = npt.NDArray[np.float64]
 MOST_ITERATIONS = 25
-OUTLIER_RAD = 0.03  # errors beyond count by their size, not their square: a slip at another instant is no other model
+OUTLIER_RAD = 0.03  # rad; larger errors count by their size, not their square: a slip may come at another instant
 DAMPINGS = 10.0 ** np.arange(-2.0, 4.0)  # tried at once, relative to the last successful one
-MOVED = 1e-3  # relative step of a parameter for a derivative
-LIMIT_MOVED = 1e-2  # the same for a profile's: it arrives at its goal a sample earlier or later, which is not smooth
-LEAST_VALUE = 1e-3  # of a parameter's typical size: the lower bound of a positive one
+DERIVATIVE_STEP = 1e-3  # relative step of a parameter for a derivative
+PROFILE_DERIVATIVE_STEP = 1e-2  # the same for a profile's parameter: the sample of arrival changes in whole steps
+LEAST_VALUE = 1e-3  # lower bound of a positive parameter, as a share of its typical size
 LEAST_GAIN = 1e-3  # relative gain in cost; an iteration that gains less is the last
 FINAL_LEAST_GAIN = 1e-4  # the same for a set that is reported
 
@@ -31,11 +31,15 @@ class Fitting:
     """One model during its fit."""
 
     def __init__(self, start: Parameters, held: Sequence[str], runs: ServoRuns) -> None:
-        self.names = [name for name in start if name not in SHAPES and name not in held]
+        self.names = [name for name in start if name not in SHAPE_DEFAULTS and name not in held]
         self.shapes = {name: value for name, value in start.items() if name not in self.names}
         self.sizes = np.array([runs.scales[name] for name in self.names])
-        self.moved = np.array([LIMIT_MOVED if name in PROFILE else MOVED for name in self.names])
-        self.least = np.array([-np.inf if name in SIGNED else LEAST_VALUE * runs.scales[name] for name in self.names])
+        self.moved = np.array(
+            [PROFILE_DERIVATIVE_STEP if name in PROFILE_PARAMETERS else DERIVATIVE_STEP for name in self.names]
+        )
+        self.least = np.array(
+            [-np.inf if name in SIGNED_PARAMETERS else LEAST_VALUE * runs.scales[name] for name in self.names]
+        )
         if "reference_delay" in self.names:  # a stamp may be a sample early
             self.least[self.names.index("reference_delay")] = -runs.interval
         self.point = np.array([start[name] for name in self.names])
@@ -154,7 +158,7 @@ class MeasuredServoRuns:
     """
 
     def __init__(self, runs: ServoRuns, whole: Stretches | None = None) -> None:
-        self._runs, self._stretches, self._points = runs, whole or cut(runs), SetPoints(runs)
+        self._runs, self._stretches, self._points = runs, whole or cut_runs(runs), SetPoints(runs)
         self._voltage_logged = runs.voltage_logged if runs.voltage_logged.any() else None
         run = [np.nonzero(mask)[0] for mask in (runs.measured, self._voltage_logged) if mask is not None]
         self.run = np.concatenate(run)

@@ -9,21 +9,21 @@ import numpy.typing as npt
 from leactl.gap.servo.fit import MeasuredServoRuns, cost
 from leactl.gap.servo.profile import SLOWNESS, SLUGGISHNESS
 from leactl.gap.servo.runs import ServoRuns
-from leactl.gap.servo.simulation import FINEST, Parameters
+from leactl.gap.servo.simulation import FINEST_RESOLUTION, Parameters
 
 Array = npt.NDArray[np.float64]
-DRIVE = frozenset({"reference_rate_limit", "servo_dead_band"})
+DRIVE_EFFECTS = frozenset({"reference_rate_limit", "servo_dead_band"})
 SPEED_LIMIT_SHARES = (0.1, 0.2, 0.35, 0.6, 0.9, 1.3)  # of the top speed: limits from which fits begin
 ACCELERATION_GRID = (0.01, 1.0, 3.0, 10.0, 30.0)  # inverse accelerations, in `runs.scales[SLUGGISHNESS]` [s^2/rad]
 DEAD_BAND_COUNTS = (3.0, 6.0, 12.0, 25.0, 50.0)  # widths in counts of the encoder, from which fits begin
-SPEED_SPAN = 4  # samples over which a speed is taken, so that counts of the encoder make little of it
-TOP_QUANTILE = 0.99  # of the speeds, that counts as the top speed
+SPEED_SPAN = 4  # samples over which a speed is taken, so that encoder counts hardly change it
+TOP_QUANTILE = 0.99  # quantile of the speeds that counts as the top speed
 LEAST_SPEED_RATIO = 0.8  # top speed over the speed limit, above which the limit acts
 LEAST_REFERENCE_RATIO = 0.8  # fastest change of the reference over the top speed, above which limits are tried
 LEAST_RAMP_SAMPLES = 2.0  # samples to the top speed at the acceleration limit, above which that limit acts
-STARTS_OF_FIRST_BASE = 2  # best points of its grid; one less of each further base
+STARTS_OF_FIRST_BASE = 2  # best points of the first base's grid; one less for each further base
 LEAST_BAND_COUNTS = 2.0  # encoder counts; a narrower dead band is the controller's own quantisation
-LEAST_STDS = 2.0  # an inverse limit over its standard error; below, there is no limit
+LEAST_STDS = 2.0  # inverse limit over its standard error; below, there is no limit
 
 
 def drive_starts(runs: ServoRuns, bases: Sequence[Parameters]) -> dict[str, list[Parameters]]:
@@ -38,7 +38,10 @@ def drive_starts(runs: ServoRuns, bases: Sequence[Parameters]) -> dict[str, list
     profiles = [
         {SLOWNESS: 1.0 / (share * top), SLUGGISHNESS: float(ramp)} for share in SPEED_LIMIT_SHARES for ramp in ramps
     ]
-    bands = [{"servo_dead_band.band": counts * max(runs.encoder_resolution, FINEST)} for counts in DEAD_BAND_COUNTS]
+    bands = [
+        {"servo_dead_band.band": counts * max(runs.encoder_resolution, FINEST_RESOLUTION)}
+        for counts in DEAD_BAND_COUNTS
+    ]
     reference_speeds = np.abs(np.diff(runs.reference, axis=1)) / runs.interval
     grids = {"servo_dead_band": bands} | (
         {"reference_rate_limit": profiles} if float(np.max(reference_speeds)) > LEAST_REFERENCE_RATIO * top else {}

@@ -14,11 +14,11 @@ from leactl.gap.servo.runs import ServoRuns
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 SLOWNESS, SLUGGISHNESS = "reference_rate_limit.slowness", "reference_rate_limit.sluggishness"
-KEPT = 256  # most profiles stored
-PROFILE = (SLOWNESS, SLUGGISHNESS)
+MOST_PROFILES = 256  # stored profiles
+PROFILE_PARAMETERS = (SLOWNESS, SLUGGISHNESS)
 UNLIMITED = (0.0, 0.0)
 GOAL_TOLERANCE = 1e-9  # share of the distance at the beginning of an interval within which the goal is reached
-TINY = 1e-300
+LEAST_INVERSE_LIMIT = 1e-300  # avoids a division by zero where there is no limit
 
 
 class SetPoints:
@@ -39,14 +39,14 @@ class SetPoints:
         limits = zip(sets.get(SLOWNESS, zeros).tolist(), sets.get(SLUGGISHNESS, zeros).tolist(), strict=True)
         profile_delays = list(zip(limits, delays, strict=True))
         distinct = {profile_delay: index for index, profile_delay in enumerate(dict.fromkeys(profile_delays))}
-        if len(self._known) > KEPT:
+        if len(self._known) > MOST_PROFILES:
             self._known.clear()
         self._work_out([limit for limit in dict.fromkeys(limit for limit, _ in distinct) if limit not in self._known])
         index = np.array([distinct[profile_delay] for profile_delay in profile_delays])
-        begins = np.stack([shifted(self._known[limit][0], late) for limit, late in distinct])
+        begins = np.stack([delayed_rows(self._known[limit][0], late) for limit, late in distinct])
         if all(limit == UNLIMITED for limit, _ in distinct):
             return begins, begins, index
-        return begins, np.stack([shifted(self._known[limit][1], late) for limit, late in distinct]), index
+        return begins, np.stack([delayed_rows(self._known[limit][1], late) for limit, late in distinct]), index
 
     def _work_out(self, limits: list[tuple[float, float]]) -> None:
         plain = (self._runs.reference, self._runs.reference)
@@ -65,8 +65,8 @@ def profile(reference: Array, interval: float, slowness: Array, sluggishness: Ar
     the interval of its arrival a set-point is at the goal from the beginning, as one without a limit is.
     """
     lanes = (len(slowness), len(reference))
-    highest_speed = np.broadcast_to(1.0 / np.maximum(slowness, TINY), lanes).copy()
-    highest_change = np.broadcast_to(interval / np.maximum(sluggishness, TINY), lanes).copy()
+    highest_speed = np.broadcast_to(1.0 / np.maximum(slowness, LEAST_INVERSE_LIMIT), lanes).copy()
+    highest_change = np.broadcast_to(interval / np.maximum(sluggishness, LEAST_INVERSE_LIMIT), lanes).copy()
     lowest_speed, lowest_change = -highest_speed, -highest_change
     brake_factor = np.broadcast_to(2.0 * sluggishness / interval, lanes).copy()
     set_point, speed = np.repeat(reference[None, :, 0], len(slowness), axis=0), np.zeros(lanes)
@@ -105,7 +105,7 @@ def profile(reference: Array, interval: float, slowness: Array, sluggishness: Ar
     return np.moveaxis(begins, 0, 2), np.moveaxis(ends, 0, 2)
 
 
-def shifted(values: Array, samples: float) -> Array:
+def delayed_rows(values: Array, samples: float) -> Array:
     """Delay rows by a number of samples, linear in between, constant beyond the ends."""
     if samples == 0.0:
         return values

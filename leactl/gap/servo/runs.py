@@ -16,10 +16,10 @@ from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-PARABOLA_SAMPLES = 4  # at the beginning of a run, to which a parabola is fitted for its speed
+PARABOLA_SAMPLES = 4  # samples at the beginning of a run, to which a parabola is fitted for its speed
 LEAST_MOVING_SHARE = 0.1  # share of the fast speeds; a run that begins more slowly begins at rest
 INTERVAL_TOLERANCE = 0.01  # relative difference of sampling intervals that count as equal
-FAST = 0.95  # quantile of the speeds
+FAST_QUANTILE = 0.95  # quantile of the speeds that counts as fast
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
         np.array([load.level_torque for load in loads]),
         inertia,
         parameter_scales(model, angles, interval * thinning, interval, float(np.mean(inertia))),
-        usual_of(model),
+        parameter_priors(model),
         math.ceil(SERVO_MEMORY * slow / (interval * thinning)),
     )
 
@@ -110,7 +110,7 @@ def parameter_scales(model: Model, angles: Array, interval: float, sampled: floa
     stall, holding = constant * volts / resistance, constant**2 / resistance
     mass = (model.rotor_inertia or 0.0) + load
     turned = np.abs(np.diff(angles, axis=1)) / sampled
-    fast = max(float(np.quantile(turned, FAST)), 1e-3 * volts / max(constant, 1e-300), 1e-300)
+    fast = max(float(np.quantile(turned, FAST_QUANTILE)), 1e-3 * volts / max(constant, 1e-300), 1e-300)
     response = mass / max(holding, 1e-300)
     return {
         "torque_constant": 0.3 * constant,
@@ -137,7 +137,7 @@ def parameter_scales(model: Model, angles: Array, interval: float, sampled: floa
     }
 
 
-def usual_of(model: Model) -> dict[str, tuple[float, float]]:
+def parameter_priors(model: Model) -> dict[str, tuple[float, float]]:
     """Return the model's values of the parameters that a fit may move, with the widths of their priors."""
     names = ("torque_constant", "phase_resistance", "rotor_inertia", "viscous_damping", "coulomb_friction")
     known = {name: float(getattr(model, name) or 0.0) for name in names}
@@ -168,7 +168,7 @@ def starting_speed(angle: Array, interval: float) -> float:
     speed = float(
         np.polynomial.Polynomial.fit(interval * np.arange(PARABOLA_SAMPLES), angle[:PARABOLA_SAMPLES], 2).deriv()(0.0)
     )
-    fast = float(np.quantile(np.abs(np.diff(angle)), FAST)) / interval
+    fast = float(np.quantile(np.abs(np.diff(angle)), FAST_QUANTILE)) / interval
     return speed if abs(speed) > LEAST_MOVING_SHARE * fast else 0.0
 
 

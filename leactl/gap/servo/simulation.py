@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Parameters = dict[str, float]
 FEWEST_PARTS, MOST_PARTS = 2, 20  # steps in a sample
-FREE = (
+FREE_PARAMETERS = (
     "torque_constant",
     "phase_resistance",
     "rotor_inertia",
@@ -46,14 +46,14 @@ FREE = (
     "dead_time.current",
 )
 """Parameters that a fit may move."""
-SHAPES = {
+SHAPE_DEFAULTS = {
     "saturation.exponent": 2.0,
     "saturation.current": 25.0,
     "stribeck.shape": 1.0,
     "position_dependent_friction.order": 1.0,
 }
 """Parameters that are never fitted, with their defaults."""
-SIGNED = (
+SIGNED_PARAMETERS = (
     "load_zero",
     "voltage_delay",
     "position_dependent_friction.cos",
@@ -61,14 +61,14 @@ SIGNED = (
     "asymmetric_friction.asymmetry",
 )
 """Parameters that may be negative."""
-FINEST = 1e-6  # rad, resolution of an encoder whose counts do not show
-EDGE = 1.0  # encoder counts over which a dead band ends
+FINEST_RESOLUTION = 1e-6  # rad, resolution of an encoder whose counts do not show
+BAND_EDGE_COUNTS = 1.0  # encoder counts over which a dead band ends
 
 
 def table(points: Sequence[Mapping[str, float]]) -> dict[str, Array]:
     """Return parameter sets as one array per parameter; a parameter missing in a set is at its default, or zero."""
     names = {name for point in points for name in point}
-    return {name: np.array([point.get(name, SHAPES.get(name, 0.0)) for point in points]) for name in names}
+    return {name: np.array([point.get(name, SHAPE_DEFAULTS.get(name, 0.0)) for point in points]) for name in names}
 
 
 def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
@@ -84,7 +84,7 @@ def simulate(runs: ServoRuns, sets: Mapping[str, Array], stretches: Stretches, s
     count, run = len(next(iter(sets.values()))), stretches.run
 
     def spread(name: str) -> Array:
-        return np.repeat(sets.get(name, np.full(count, SHAPES.get(name, 0.0)))[:, None], len(run), axis=1)
+        return np.repeat(sets.get(name, np.full(count, SHAPE_DEFAULTS.get(name, 0.0)))[:, None], len(run), axis=1)
 
     def of_runs(values: Array) -> Array:
         return np.repeat(values[run][None], count, axis=0)
@@ -105,7 +105,9 @@ def simulate(runs: ServoRuns, sets: Mapping[str, Array], stretches: Stretches, s
     load_coefficient = spread("load_dependent_friction.coefficient")
     speed_factor = _fading(*(spread(f"stribeck.{name}") for name in ("breakaway_ratio", "stribeck_velocity", "shape")))
     angle_factor = _wave(*(spread(f"position_dependent_friction.{name}") for name in ("cos", "sin", "order")))
-    dead_band = _deafness(spread("servo_dead_band.band"), max(EDGE * runs.encoder_resolution, FINEST))
+    dead_band = _deafness(
+        spread("servo_dead_band.band"), max(BAND_EDGE_COUNTS * runs.encoder_resolution, FINEST_RESOLUTION)
+    )
     load_friction, pendulum = bool(np.any(load_coefficient)), runs.hangs
     asymmetry, drag = spread("asymmetric_friction.asymmetry"), spread("quadratic_drag.coefficient")
     asymmetric, quadratic = bool(np.any(asymmetry)), bool(np.any(drag))
@@ -120,8 +122,8 @@ def simulate(runs: ServoRuns, sets: Mapping[str, Array], stretches: Stretches, s
     profiled, elapsed_shares = begins is not ends, [(part + 0.5) / parts for part in range(parts)]
     samples = np.minimum(stretches.samples, runs.angle.shape[1] - 1)
     # one row per sample, its lanes next to each other
-    reference_changes = of_lanes(ends - begins, run, samples, profile_index) if profiled else None
-    begins = of_lanes(begins, run, samples, profile_index)
+    reference_changes = by_lane(ends - begins, run, samples, profile_index) if profiled else None
+    begins = by_lane(begins, run, samples, profile_index)
     enabled, switched = runs.enabled[run[:, None], samples].T.copy(), bool(np.any(runs.enabled < 1.0))
     angle = np.repeat(stretches.angle[None], count, axis=0)
     speed = np.repeat(stretches.speed[None], count, axis=0)
@@ -200,7 +202,7 @@ def simulate(runs: ServoRuns, sets: Mapping[str, Array], stretches: Stretches, s
             speed += drive
             np.multiply(speed, step, out=drive)
             angle += drive
-    return gathered(angles, stretches, runs)
+    return join_stretches(angles, stretches, runs)
 
 
 def voltages(runs: ServoRuns, sets: Mapping[str, Array], set_points: SetPoints) -> Array:
@@ -212,7 +214,7 @@ def voltages(runs: ServoRuns, sets: Mapping[str, Array], set_points: SetPoints) 
     begins, _, profile_index = set_points.at(sets, count, "voltage_delay")
     error = begins[profile_index] - runs.angle
     band = sets.get("servo_dead_band.band", np.zeros(count))[:, None, None]
-    dead_band = _deafness(band, max(EDGE * runs.encoder_resolution, FINEST))
+    dead_band = _deafness(band, max(BAND_EDGE_COUNTS * runs.encoder_resolution, FINEST_RESOLUTION))
     if dead_band is not None:
         dead_band(error, np.empty_like(error))
     volts = runs.gain[:, None] * error
@@ -224,12 +226,12 @@ def voltages(runs: ServoRuns, sets: Mapping[str, Array], set_points: SetPoints) 
     return np.asarray(np.clip(volts, -limit, limit) * runs.enabled, np.float64)
 
 
-def of_lanes(values: Array, run: Index, samples: Index, profile_index: Index) -> Array:
+def by_lane(values: Array, run: Index, samples: Index, profile_index: Index) -> Array:
     """Rearrange values (profiles, runs, samples) by lane, (samples, sets, stretches)."""
     return np.take(np.ascontiguousarray(np.moveaxis(values[:, run[:, None], samples], 2, 0)), profile_index, axis=1)
 
 
-def gathered(values: Array, stretches: Stretches, runs: ServoRuns) -> Array:
+def join_stretches(values: Array, stretches: Stretches, runs: ServoRuns) -> Array:
     """Join the scored parts of stretches, (samples, sets, stretches), to whole runs, (sets, runs, samples)."""
     scored = np.moveaxis(values, 0, 2)
     samples = runs.angle.shape[1]

@@ -15,7 +15,7 @@ from leactl.gap.servo.runs import ServoRuns
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 SPEED_SPAN = 4  # samples over which the speed at the beginning of a stretch is taken
-LEAST_SCORED = 2.0  # shortest scored part of a stretch, over the time in which a start loses influence
+LEAST_SCORED_RATIO = 2.0  # shortest scored part of a stretch, over the time in which a start loses influence
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +41,10 @@ def whole_runs(runs: ServoRuns) -> Stretches:
     return Stretches(np.arange(len(zeros)), zeros, zeros, runs.angle.shape[1], runs.angle[:, 0], runs.speed)
 
 
-def cut(runs: ServoRuns) -> Stretches:
+def cut_runs(runs: ServoRuns) -> Stretches:
     """Cut runs into stretches; where fewer than two fit, or a drive is disabled at times, each run is one."""
     samples, forgets = runs.angle.shape[1], runs.forgets
-    count = int(samples / (LEAST_SCORED * forgets))
+    count = int(samples / (LEAST_SCORED_RATIO * forgets))
     if count < 2 or bool(np.any(runs.enabled < 1.0)):
         return whole_runs(runs)
     scored_length = -(-samples // count)

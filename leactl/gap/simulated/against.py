@@ -11,7 +11,7 @@ from leactl.gap.setup import SetUpFault
 from leactl.gap.signals.record import Record
 from leactl.gap.simulated.comparing import (
     compared_parameters,
-    of_another_machine,
+    other_machine_notes,
     shared_faults,
     side_by_side,
     side_by_side_in_free_runs,
@@ -19,7 +19,7 @@ from leactl.gap.simulated.comparing import (
     without_shared_causes,
 )
 from leactl.gap.simulated.nominal import NominalOfSimulator, nominal_of
-from leactl.gap.simulated.pairing import paired
+from leactl.gap.simulated.pairing import pair_runs
 from leactl.gap.simulated.simulator_effects import records_without
 
 
@@ -44,7 +44,7 @@ def read_simulated_case(
     InputError : files that cannot be used, a real run without a simulated one, or with other inputs.
     """
     case = read_case(runs, held_out, model)
-    pairs = paired(list(dict.fromkeys([*runs, *held_out])), list(dict.fromkeys(simulated)))
+    pairs = pair_runs(list(dict.fromkeys([*runs, *held_out])), list(dict.fromkeys(simulated)))
     kinds = {record.path: record.kind for record in (*case.fitted, *case.held_out)}
     real_of = {Path(pair.simulated): Path(pair.real) for pair in pairs}
     records_by_path = read_records(list(real_of), case.model.bench)
@@ -83,7 +83,7 @@ def diagnose_against(case: SimulatedCase, progress: Progress = lambda _: None) -
         answer = _beyond(mended, nominal, differing, real_faults, progress)
     parameters = compared_parameters(nominal, answer.calibration)
     answer = without_shared_causes(answer, comparison, any(item.differs for item in parameters))
-    notes = (*case.notes, *of_another_machine(answer.calibration), *shared_faults(nominal, faults))
+    notes = (*case.notes, *other_machine_notes(answer.calibration), *shared_faults(nominal, faults))
     simulator = SimulatorAnswer(
         nominal.answer.verdict,
         nominal.answer.unexplained_probability,

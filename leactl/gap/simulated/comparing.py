@@ -23,8 +23,8 @@ from leactl.gap.simulated.nominal import NominalOfSimulator
 from leactl.gap.simulated.simulator_effects import KnownEffect, known_effects, records_without
 from leactl.gap.verdict.decision import NAMED_PROBABILITY, verdict_of
 
-MOST_PRIORS_OFF = 3.0  # prior widths beyond which a parameter is that of another machine
-LEAST_DIFFERENCE = 0.02  # smallest relative difference of a parameter; the freedom of an effect's form makes less
+MOST_PRIORS_OFF = 3.0  # prior widths; a parameter that differs by more is that of another machine
+LEAST_DIFFERENCE = 0.02  # relative difference of a parameter that counts; inexact forms of effects make smaller ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def side_by_side(records: Sequence[Record], nominal: NominalOfSimulator, named: 
         for effect in nominal.effects
         if (real := in_real.get(effect.name)) is not None and real.coefficients == effect.coefficients
     }
-    in_simulated = in_simulator(nominal, beyond)
+    in_simulated = effects_in_simulator(nominal, beyond)
     shown_in_both = [
         name
         for name, _ in beyond
@@ -101,7 +101,7 @@ def side_by_side_in_free_runs(nominal: NominalOfSimulator, alone: DiagnosisResul
     return SideBySide(sizes, ())
 
 
-def in_simulator(nominal: NominalOfSimulator, candidates: Sequence[Candidate]) -> dict[str, KnownEffect]:
+def effects_in_simulator(nominal: NominalOfSimulator, candidates: Sequence[Candidate]) -> dict[str, KnownEffect]:
     """Fit further forms of effects to the simulated runs, less the simulator's known effects; return them by name."""
     if not candidates:
         return {}
@@ -201,7 +201,7 @@ def shared_faults(nominal: NominalOfSimulator, faults: Sequence[SetUpFault]) -> 
     )
 
 
-def of_another_machine(calibration: Sequence[CalibratedParameter]) -> tuple[str, ...]:
+def other_machine_notes(calibration: Sequence[CalibratedParameter]) -> tuple[str, ...]:
     """Return a note if fitted parameters of the real runs are far from the simulator's."""
     far = [
         f"{item.parameter} is {item.fitted / item.nominal:.3g} times the simulator's"

@@ -17,15 +17,15 @@ from leactl.runfile.read.reader import Channel, Run
 Array = npt.NDArray[np.float64]
 OUTERMOST_FIRST = ("angle_reference", "velocity_reference", "torque_reference", "q_axis_current_reference")
 """Setpoints; of a cascade of loops the inner ones are answers of the machine."""
-MEASURED = ("q_axis_current", "q_axis_voltage", "line_current")
+MEASURED_INPUTS = ("q_axis_current", "q_axis_voltage", "line_current")
 """Inputs of a run that logs no setpoint, the first that it has."""
-FEWEST_SAMPLES = 10  # finite ones, below which a channel is not compared
-NOISE_STDS = 6.0  # of both runs' noise, beyond which no sample of a long run lies by chance
-MOST_TOLERANCE = 0.05  # of a command's range
-MEASURED_TOLERANCE = 0.02  # of a measured input's range: the simulator may be driven by the setpoint instead
-ROUNDING = 1e-5  # of a command's range: single precision in a file
-OFFSETS = 61  # times within the reach at which the other run is compared
-LEAST_DURATION = 0.98  # of the real run's
+FEWEST_SAMPLES = 10  # finite samples of a channel that is compared
+NOISE_STDS = 6.0  # standard deviations of both runs' noise that no sample of a long run exceeds by chance
+MOST_TOLERANCE_SHARE = 0.05  # of a command's range
+MEASURED_TOLERANCE_SHARE = 0.02  # of a measured input's range: the simulator may be driven by the setpoint instead
+ROUNDING_SHARE = 1e-5  # of a command's range: single precision in a file
+COMPARED_OFFSETS = 61  # number of times within the reach at which the other run is compared
+LEAST_DURATION_SHARE = 0.98  # of the real run's duration
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def commands_of(run: Run) -> dict[tuple[str, str], RunCommand]:
                 commands[quantity, role] = command
                 break
     if not commands:
-        for quantity in MEASURED:
+        for quantity in MEASURED_INPUTS:
             if (command := _command(run.channels(quantity), begin)) is not None:
                 return {(quantity, "test"): command}
     return commands
@@ -99,14 +99,14 @@ def _difference(key: tuple[str, str], command: RunCommand, simulated: RunCommand
     if command.units != simulated.units:
         return Mismatch(1.0, f"{name} is in {simulated.units}, {real.path} has it in {command.units}")
     duration, needed = float(simulated.time[-1]), float(command.time[-1])
-    if duration < LEAST_DURATION * needed:
+    if duration < LEAST_DURATION_SHARE * needed:
         return Mismatch(1.0, f"{name} ends after {duration:.6g} s; {real.path} takes {needed:.6g} s")
     tolerance = tolerance_of(command.values, simulated.values)
-    if key[0] in MEASURED:
-        tolerance = max(tolerance, MEASURED_TOLERANCE * float(np.ptp(command.values)))
+    if key[0] in MEASURED_INPUTS:
+        tolerance = max(tolerance, MEASURED_TOLERANCE_SHARE * float(np.ptp(command.values)))
     reach = MOST_STAMP_DELAY * max(command.interval, simulated.interval)
     inside = command.time <= duration
-    beyond = outside(command.time[inside], command.values[inside], simulated, reach) > tolerance
+    beyond = distance_outside(command.time[inside], command.values[inside], simulated, reach) > tolerance
     if not beyond.any():
         return None
     first_beyond = int(np.argmax(beyond))
@@ -125,14 +125,14 @@ def tolerance_of(ours: Array, theirs: Array) -> float:
     quanta = quantum_of(ours), quantum_of(theirs)
     noise = float(np.hypot(noise_of(ours, 0.0), noise_of(theirs, 0.0)))
     # a command that takes a few levels has steps, and no quantum: rounding is finer than a twentieth of the range
-    rounded = 0.5 * sum(quantum for quantum in quanta if quantum < MOST_TOLERANCE * span)
-    return min(NOISE_STDS * noise + rounded, MOST_TOLERANCE * span) + ROUNDING * span
+    rounded = 0.5 * sum(quantum for quantum in quanta if quantum < MOST_TOLERANCE_SHARE * span)
+    return min(NOISE_STDS * noise + rounded, MOST_TOLERANCE_SHARE * span) + ROUNDING_SHARE * span
 
 
-def outside(time: Array, values: Array, other: RunCommand, reach: float) -> Array:
+def distance_outside(time: Array, values: Array, other: RunCommand, reach: float) -> Array:
     """Return how far values lie outside the range of another command within `reach` [s] of the same time."""
     low, high = np.full(len(time), np.inf), np.full(len(time), -np.inf)
-    for offset in np.linspace(-reach, reach, OFFSETS):
+    for offset in np.linspace(-reach, reach, COMPARED_OFFSETS):
         other_values = np.interp(time + offset, other.time, other.values)
         low, high = np.minimum(low, other_values), np.maximum(high, other_values)
     return np.asarray(np.maximum(np.maximum(low - values, values - high), 0.0), np.float64)

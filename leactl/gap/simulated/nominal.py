@@ -23,7 +23,7 @@ from leactl.gap.simulated.simulator_effects import KnownEffect, known_effects
 from leactl.gap.verdict.decision import NAMED_PROBABILITY
 from leactl.model.nominal import Model
 
-MOST_FITS = 4  # most fits from a far start; three fits reach a parameter that is off by a factor of ten
+MOST_FITS = 4  # fits from a far start; three reach a parameter that is off by a factor of ten
 
 
 @dataclass(frozen=True, eq=False)

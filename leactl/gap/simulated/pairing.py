@@ -9,11 +9,16 @@ from leactl.gap.diagnosis import SimulatedRun
 from leactl.gap.simulated.inputs import Mismatch, mismatch
 from leactl.runfile.read.reader import Run
 
-RIG = ("drive_gain", "load_mass", "load_length", "load_arm_mass")  # set-up entries that tell runs of a protocol apart
+RIG_ENTRIES = (
+    "drive_gain",
+    "load_mass",
+    "load_length",
+    "load_arm_mass",
+)  # set-up entries that tell runs of a protocol apart
 Kind = tuple[object, ...]
 
 
-def paired(real: Sequence[Path], simulated: Sequence[Path]) -> tuple[SimulatedRun, ...]:
+def pair_runs(real: Sequence[Path], simulated: Sequence[Path]) -> tuple[SimulatedRun, ...]:
     """Return the simulated run with the same inputs for each real run.
 
     A simulated run may belong to several real ones, as repeats of one experiment are. A run of the same name comes
@@ -48,7 +53,7 @@ def paired(real: Sequence[Path], simulated: Sequence[Path]) -> tuple[SimulatedRu
 def kind_of(run: Run) -> Kind:
     """Return the properties that paired runs have in common."""
     names = ("protocol", "condition")
-    rig = (run.setup.get(name) for name in RIG)
+    rig = (run.setup.get(name) for name in RIG_ENTRIES)
     return (*(str(run.attributes.get(name) or "") for name in names), run.mechanical, *rig)
 
 

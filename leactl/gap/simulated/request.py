@@ -13,7 +13,7 @@ from leactl.runfile.read.reader import Run
 MODEL_SOURCE = "model"  # source of a run file that holds its model, as `leactl gap simulate` writes it
 
 
-def answer_of(
+def requested_diagnosis(
     runs: Sequence[Path],
     held_out: Sequence[Path],
     model: Path | None,
