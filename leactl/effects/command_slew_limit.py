@@ -11,7 +11,7 @@ from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
-ROUNDING = 1e-9  # of an interval
+ROUNDING_SHARE = 1e-9  # of an interval: a ramp that is shorter by less than this fills the interval
 
 
 class CommandSlewLimit(Effect):
@@ -35,7 +35,7 @@ class CommandSlewLimit(Effect):
         shares = ramp_shares(ends, most, begin)
         if not signals.command_held:
             # the command may change anywhere in an interval: a ramp counts in those that it fills and where it ends
-            filled = shares > 1.0 - ROUNDING
+            filled = shares > 1.0 - ROUNDING_SHARE
             shares = np.where(filled | np.append(False, filled[:-1]), shares, 0.0)
         return {"current_following": {"strength": signals.looped(ends, shares, begin) - signals.following}}
 

@@ -8,7 +8,7 @@ from leactl.effects.contract import Effect, Form, Signals, Terms
 from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
-LEAST = 0.05
+LEAST_INVERSE_FRACTION = 0.05  # of the camera's fraction: a fit that is linear in this inverse may give zero or less
 
 
 class EmissivityBias(Effect):
@@ -39,7 +39,7 @@ class EmissivityBias(Effect):
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Fraction; the columns are made of the rise that the camera reads, a fraction of the true one."""
-        return {"fraction": 1.0 / max(1.0 - coefficients["excess"], LEAST)}
+        return {"fraction": 1.0 / max(1.0 - coefficients["excess"], LEAST_INVERSE_FRACTION)}
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
         """Relative error."""

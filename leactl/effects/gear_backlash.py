@@ -11,14 +11,14 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
-from leactl.effects.joint_elasticity import HIGHEST
+from leactl.effects.joint_elasticity import MOST_LOAD_SHARE
 from leactl.effects.plant import GearedLoad, Plant
-from leactl.effects.teeth import followed
+from leactl.effects.teeth import follow_loads
 from leactl.model.nominal import Model
 
-RUBBED = 0.2  # a load's share of the friction where none is told
-SEEN = 4.0  # counts of the encoder, in which a play shows: where it begins and ends is known to one of them
-SIDE_BY_SIDE = 1 << 20  # samples of loads that are followed at once: memory does not grow with the forms
+DEFAULT_FRICTION_SHARE = 0.2  # a load's share of the friction where the parameters do not give it
+LEAST_PLAY_COUNTS = 4.0  # encoder counts; the ends of a play are known to one count, so a smaller play does not show
+MOST_SAMPLES_AT_ONCE = 1 << 20  # samples of all loads that are stepped together: bounds the memory for many forms
 
 
 class GearBacklash(Effect):
@@ -49,13 +49,13 @@ class GearBacklash(Effect):
             yield from ({} for _ in forms)
             return
         damping, friction = signals.model.viscous_damping or 0.0, signals.model.coulomb_friction or 0.0
-        together = max(SIDE_BY_SIDE // len(speed), 1)
+        together = max(MOST_SAMPLES_AT_ONCE // len(speed), 1)
         for first in range(0, len(forms), together):
             plays, rubbed = (np.array(column) for column in zip(*forms[first : first + together], strict=True))
             rates = rubbed * damping / inertia, rubbed * friction / inertia
-            loads, _ = followed(speed, signals.interval, 0.5 * plays, *rates)
+            loads, _ = follow_loads(speed, signals.interval, 0.5 * plays, *rates)
             for load, play, ratio in zip(loads, plays, rubbed, strict=True):
-                if play < SEEN * signals.count:
+                if play < LEAST_PLAY_COUNTS * signals.count:
                     yield {}
                     continue
                 beyond = signals.smoothed(load - speed)
@@ -69,6 +69,6 @@ class GearBacklash(Effect):
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """A second inertia behind teeth."""
-        share, friction = parameters["share"], parameters.get("friction", RUBBED)
-        plant.geared_load = GearedLoad(min(share, HIGHEST), min(friction, HIGHEST))
+        share, friction = parameters["share"], parameters.get("friction", DEFAULT_FRICTION_SHARE)
+        plant.geared_load = GearedLoad(min(share, MOST_LOAD_SHARE), min(friction, MOST_LOAD_SHARE))
         plant.play += parameters["play"]

@@ -9,7 +9,7 @@ from leactl.effects.contract import Effect, Form, Signals, Terms
 from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
-TURN = 2.0 * math.pi  # rad
+FULL_TURN = 2.0 * math.pi  # rad
 
 
 class GravityLoad(Effect):
@@ -23,7 +23,7 @@ class GravityLoad(Effect):
 
     def is_usual(self, travel: float) -> bool:
         """A joint that makes no whole turn carries an arm."""
-        return travel < TURN
+        return travel < FULL_TURN
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """Cosine and sine of the joint's angle, as torque that the drive has to hold."""

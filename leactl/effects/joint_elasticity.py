@@ -14,12 +14,12 @@ from leactl.effects.contract import Array, Effect, Form, Signals, Terms
 from leactl.effects.plant import ElasticLoad, Plant
 from leactl.model.nominal import Model
 
-DAMPED = 0.05  # of critical, as gears and belts have it
-CREEPS = 1.0  # of critical: such a load follows without a swing, which a lag of the motor's own may be
-HIGHEST = 0.9  # largest share of the inertia in a simulated load: the motor's rotor has the remainder
-DIES_AWAY = 4.0  # time constants after which two per cent of a swing remain
-GONE = 36.0  # time constants after which a swing is below rounding errors
-FEWEST = 4  # samples for each number of a fit
+DEFAULT_DAMPING_RATIO = 0.05  # typical of gears and belts
+LEAST_CREEP_DAMPING = 1.0  # damping ratio from which a load follows without a swing, like a lag of the motor itself
+MOST_LOAD_SHARE = 0.9  # largest share of the inertia in a simulated load: the motor's rotor has the remainder
+DECAYED_TIME_CONSTANTS = 4.0  # time constants after which two per cent of a swing remain
+VANISHED_TIME_CONSTANTS = 36.0  # time constants after which a swing is below rounding errors
+FEWEST_SAMPLES_PER_COEFFICIENT = 4  # samples of a fit for each of its coefficients
 
 
 class JointElasticity(Effect):
@@ -43,9 +43,9 @@ class JointElasticity(Effect):
         inertia = signals.model.rotor_inertia
         if signals.mechanical != "free" or signals.acceleration is None or inertia is None:
             return {}
-        if form[1] >= CREEPS:
+        if form[1] >= LEAST_CREEP_DAMPING:
             return {}
-        behind = swung(signals.acceleration, form[0], form[1], signals.interval)
+        behind = load_acceleration(signals.acceleration, form[0], form[1], signals.interval)
         behind += swing_at_start(signals, behind, form)
         return {"drag": {"share": inertia * (behind - signals.acceleration)}}
 
@@ -55,8 +55,8 @@ class JointElasticity(Effect):
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Add a second inertia behind a spring."""
-        damping = parameters.get("damping_ratio", DAMPED)
-        share = min(parameters["share"], HIGHEST)
+        damping = parameters.get("damping_ratio", DEFAULT_DAMPING_RATIO)
+        share = min(parameters["share"], MOST_LOAD_SHARE)
         plant.elastic_load = ElasticLoad(share, parameters["frequency"], damping)
 
 
@@ -70,13 +70,13 @@ def swing_at_start(signals: Signals, behind: Array, form: Form) -> Array:
     rate = 2.0 * np.pi * form[0]
     fading, ringing = form[1] * rate, rate * np.sqrt(1.0 - form[1] ** 2)
     time = np.arange(len(behind), dtype=np.float64) * signals.interval
-    within = slice(0, int(np.searchsorted(time, DIES_AWAY / fading)))
+    within = slice(0, int(np.searchsorted(time, DECAYED_TIME_CONSTANTS / fading)))
     if signals.current is None or signals.acceleration is None or signals.sliding is None or signals.velocity is None:
         return np.zeros_like(behind)
     swings = fading_waves(fading, ringing, time)
     columns = [behind, *swings, signals.acceleration, signals.velocity, signals.sliding]
     table = np.stack([column[within] for column in columns], axis=1)
-    if len(table) < FEWEST * len(columns):
+    if len(table) < FEWEST_SAMPLES_PER_COEFFICIENT * len(columns):
         return np.zeros_like(behind)
     load, *begins, rotor, _, _ = np.linalg.lstsq(table, signals.current[within], rcond=None)[0]
     if load <= JointElasticity.least * abs(load + rotor):
@@ -86,7 +86,7 @@ def swing_at_start(signals: Signals, behind: Array, form: Form) -> Array:
 
 def fading_waves(fading: float, ringing: float, time: Array) -> list[Array]:
     """Return cosine and sine of a decaying swing, zero where they are below rounding errors."""
-    sample_count = int(np.searchsorted(time, GONE / fading))
+    sample_count = int(np.searchsorted(time, VANISHED_TIME_CONSTANTS / fading))
     swings = np.zeros((2, len(time)))
     envelope = np.exp(-fading * time[:sample_count])
     for swing, wave in zip(swings, (np.cos, np.sin), strict=True):
@@ -94,15 +94,15 @@ def fading_waves(fading: float, ringing: float, time: Array) -> list[Array]:
     return list(swings)
 
 
-def swung(acceleration: Array, frequency: float, damping_ratio: float, interval: float) -> Array:
+def load_acceleration(acceleration: Array, frequency: float, damping_ratio: float, interval: float) -> Array:
     """Return the load's acceleration for that of the motor; at first both are equal."""
-    numerator, denominator = behind_motor(frequency, damping_ratio, interval)
+    numerator, denominator = load_filter(frequency, damping_ratio, interval)
     initial = acceleration[0]
     return np.asarray(initial + lfilter(numerator, denominator, acceleration - initial), np.float64)
 
 
 @lru_cache(maxsize=1024)  # every run of a machine, and of each sound one in its place, asks for the same
-def behind_motor(frequency: float, damping_ratio: float, interval: float) -> tuple[Array, Array]:
+def load_filter(frequency: float, damping_ratio: float, interval: float) -> tuple[Array, Array]:
     """Return numerator and denominator of the discrete filter from a motor's acceleration to its load's."""
     rate = 2.0 * np.pi * frequency
     stiffness_terms = [2.0 * damping_ratio * rate, rate**2]

@@ -9,7 +9,7 @@ from leactl.effects.hysteresis_and_lags import stuck_between
 from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
-TANGENT = 0.01  # in whose place a form of zero stands where a rotor sticks
+LEAST_LOCKED_FORM = 0.01  # replaces a form of zero where a rotor sticks, whose column divides by the form
 
 
 class LoadDependentFriction(Effect):
@@ -26,7 +26,11 @@ class LoadDependentFriction(Effect):
         if signals.mechanical == "locked":
             current = signals.extra.get("sharp_current", signals.current)
             return (
-                {} if current is None else {"drag": {"coefficient": stuck(current, signals.model, form[0] or TANGENT)}}
+                {}
+                if current is None
+                else {
+                    "drag": {"coefficient": hidden_locked_torque(current, signals.model, form[0] or LEAST_LOCKED_FORM)}
+                }
             )
         if signals.sliding is None or signals.velocity is None or signals.torque is None:
             return {}
@@ -44,7 +48,7 @@ class LoadDependentFriction(Effect):
         plant.coulomb_added.append(lambda now: coefficient * np.abs(now.transmitted))
 
 
-def stuck(current: Array, model: Model, coefficient: float) -> Array:
+def hidden_locked_torque(current: Array, model: Model, coefficient: float) -> Array:
     """What a locked rotor hides of its torque beyond the model's, per coefficient.
 
     Rising levels lose a share of themselves and falling ones keep as much: their mean gains c^2, which is a torque

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from leactl.model.nominal import Model
 
 Array: TypeAlias = npt.NDArray[np.float64]
-GIVE = 5e-5  # rad; bearings have 1e-6 to 1e-4
+BEARING_GIVE = 5e-5  # rad over which friction builds up; bearings have 1e-6 to 1e-4
 
 
 @dataclass
@@ -70,7 +70,7 @@ class Plant:
     elastic_load: ElasticLoad | None = None  # on a free rotor
     geared_load: GearedLoad | None = None  # on a free rotor
     bristle: float = 0.0  # rad, over which friction builds up by an effect
-    give: float = GIVE  # rad, over which it builds up in any bearing
+    give: float = BEARING_GIVE  # rad, over which it builds up in any bearing
     current_gain: float = 1.0  # measured current over current
     current_offset: float = 0.0  # A
     bus_resistance: float = 0.0  # ohm
@@ -102,6 +102,6 @@ class Plant:
     housing_heat: list[Callable[[Array], Array]] = field(default_factory=list)  # W at a speed
 
 
-def bare(model: Model) -> Plant:
+def plant_without_effects(model: Model) -> Plant:
     """Return the bench of a model without its effects."""
     return Plant(model, model.bench.shaft_stiffness, model.resistance_coefficient)

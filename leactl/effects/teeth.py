@@ -7,13 +7,16 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
-CHUNK = 128  # samples that are followed in one piece
-PARTS = 4  # steps from one sample to the next
-PASSES = 6  # most passes until each piece begins as the previous one ends
-LOOSELY, NEARLY = 0.02, 1e-3  # largest mismatch of its start: shares of half the play and of the highest speed
+PIECE_SAMPLES = 128  # samples in a piece of a run; pieces are stepped side by side
+STEPS_PER_SAMPLE = 4  # steps from one sample to the next
+MOST_PASSES = 6  # most passes until each piece begins as the previous one ends
+MOST_ANGLE_MISMATCH = 0.02  # between a piece's start and the previous end, as a share of half the play
+MOST_SPEED_MISMATCH = 1e-3  # the same as a share of the highest speed
 
 
-def followed(speed: Array, interval: float, half_plays: Array, damping: Array, friction: Array) -> tuple[Array, Array]:
+def follow_loads(
+    speed: Array, interval: float, half_plays: Array, damping: Array, friction: Array
+) -> tuple[Array, Array]:
     """Return speeds [rad/s] of loads driven through play, and the motor's relative angle [rad]; (loads, samples).
 
     Pieces of a run are stepped side by side; those that did not begin at the end of the previous one are repeated.
@@ -25,29 +28,29 @@ def followed(speed: Array, interval: float, half_plays: Array, damping: Array, f
     damping : 1/s, decay rate of each load while it is free.
     friction : rad/s^2, deceleration of each by Coulomb friction.
     """
-    loads, pieces = len(half_plays), -(-(len(speed) - 1) // CHUNK)
-    motor = np.concatenate([speed, np.full(pieces * CHUNK + 1 - len(speed), speed[-1])])
-    begins = np.arange(pieces) * CHUNK
+    loads, pieces = len(half_plays), -(-(len(speed) - 1) // PIECE_SAMPLES)
+    motor = np.concatenate([speed, np.full(pieces * PIECE_SAMPLES + 1 - len(speed), speed[-1])])
+    begins = np.arange(pieces) * PIECE_SAMPLES
     # states are speed of the load and angle of the motor beyond it; first guess: pressed the way the motor turns
     starts = np.stack([motor[begins] * np.ones((loads, 1)), half_plays[:, None] * np.sign(motor[begins])])
-    states = np.zeros((2, CHUNK, loads, pieces))
+    states = np.zeros((2, PIECE_SAMPLES, loads, pieces))
     fastest = float(np.max(np.abs(speed)))
-    shares = np.arange(PARTS + 1)[:, None] / PARTS  # of a sample's interval
+    shares = np.arange(STEPS_PER_SAMPLE + 1)[:, None] / STEPS_PER_SAMPLE  # of a sample's interval
     load, piece = (index.ravel() for index in np.indices((loads, pieces)))  # of each lane; at first every piece of all
-    for _ in range(PASSES):
-        teeth = Teeth(half_plays[load], damping[load], friction[load], interval / PARTS)
+    for _ in range(MOST_PASSES):
+        teeth = Teeth(half_plays[load], damping[load], friction[load], interval / STEPS_PER_SAMPLE)
         state = starts[0, load, piece], starts[1, load, piece]
-        for index in range(CHUNK):
+        for index in range(PIECE_SAMPLES):
             motor_before, motor_after = motor[begins[piece] + index], motor[begins[piece] + index + 1]
             states[0, index, load, piece], states[1, index, load, piece] = state
             moments = motor_before + (motor_after - motor_before) * shares
-            for part in range(PARTS):
+            for part in range(STEPS_PER_SAMPLE):
                 state = teeth.step(state[0], state[1], moments[part], moments[part + 1])
         followed_by = piece + 1 < pieces
         load, piece, ends = load[followed_by], piece[followed_by] + 1, np.stack(state)[:, followed_by]
         slower, behind = np.abs(starts[:, load, piece] - ends)
         starts[:, load, piece] = ends
-        began_elsewhere = (slower > NEARLY * fastest) | (behind > LOOSELY * half_plays[load])
+        began_elsewhere = (slower > MOST_SPEED_MISMATCH * fastest) | (behind > MOST_ANGLE_MISMATCH * half_plays[load])
         load, piece = load[began_elsewhere], piece[began_elsewhere]  # which are stepped again, from where they begin
         if len(load) == 0:
             break

@@ -9,8 +9,8 @@ import pytest
 
 from leactl.effects import library
 from leactl.effects.contract import PLACES, Signals
-from leactl.effects.gear_backlash import SEEN
-from leactl.effects.joint_elasticity import HIGHEST
+from leactl.effects.gear_backlash import LEAST_PLAY_COUNTS
+from leactl.effects.joint_elasticity import MOST_LOAD_SHARE
 from leactl.effects.plant import Plant
 from leactl.gap.search.effect_sets import STRENGTH_RANGE
 from leactl.gap.search.parameters import propagated_variances
@@ -144,7 +144,7 @@ def test_the_page_says_which_plays_are_tried():
     page = (Path(__file__).parents[2] / "docs" / "explanation" / "gap.md").read_text(encoding="utf-8")
     told = f"at {words[len(plays)]} plays from {plays[0]:g} to {plays[-1]:g} rad and {words[len(ratios)]} ratios"
     assert told in page
-    assert f"a play below {words[int(SEEN)]} counts of the encoder" in page
+    assert f"a play below {words[int(LEAST_PLAY_COUNTS)]} counts of the encoder" in page
 
 
 @pytest.mark.parametrize("name", ["joint_elasticity", "gear_backlash"])
@@ -154,7 +154,7 @@ def test_a_load_that_is_nearly_all_of_the_inertia_is_told_as_it_is_and_simulated
     assert numbers["share"] == 0.95, "at a limit it would have no standard error"
     plant = Plant(MODEL, None, 0.0)
     effect.act(numbers, plant)
-    assert (plant.elastic_load or plant.geared_load).share == HIGHEST
+    assert (plant.elastic_load or plant.geared_load).share == MOST_LOAD_SHARE
 
 
 SHAPED = [name for name, effect in library().items() if effect.shaped]

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.effects.hysteresis_and_lags import bristle, delayed, lagged, play, rate_limited
-from leactl.effects.plant import bare
+from leactl.effects.plant import plant_without_effects
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.readings import measured_speed
 from leactl.gap.signals.record import Record
@@ -140,7 +140,7 @@ def test_a_run_that_begins_while_it_turns_has_its_speed_from_the_first_sample_on
     turned = rate * INTERVAL * np.arange(40)
     begun = Record(Path("a.h5"), "free", "free", clocked(40, INTERVAL, {("angle", "test"): turned}), None, {})
     np.testing.assert_allclose(speeds(turned, INTERVAL), rate, atol=1e-9)
-    np.testing.assert_allclose(measured_speed(Job(begun, bare(model()))), rate, atol=1e-9)
+    np.testing.assert_allclose(measured_speed(Job(begun, plant_without_effects(model()))), rate, atol=1e-9)
 
 
 @settings(max_examples=60, deadline=None)

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leactl.effects.plant import GIVE
+from leactl.effects.plant import BEARING_GIVE
 from leactl.gap.replay import replay_all
 from leactl.gap.replay.bench_of_model import plant_of
 from leactl.gap.replay.job import Job
 from leactl.gap.signals.record import Record
 from leactl.model.nominal import Model
 
-TRIED_GIVES = (5e-6, 1.5e-5, GIVE)  # rad
+TRIED_GIVES = (5e-6, 1.5e-5, BEARING_GIVE)  # rad
 
 
 def fitted_give(records: Sequence[Record], model: Model) -> float:
@@ -28,7 +28,9 @@ def fitted_give(records: Sequence[Record], model: Model) -> float:
     squares = [
         [_torque_squares(job) for job in jobs_of_plant if ("torque", "test") in job.fast] for jobs_of_plant in jobs
     ]
-    return TRIED_GIVES[int(np.argmin([sum(jobs_of_plant) for jobs_of_plant in squares]))] if all(squares) else GIVE
+    return (
+        TRIED_GIVES[int(np.argmin([sum(jobs_of_plant) for jobs_of_plant in squares]))] if all(squares) else BEARING_GIVE
+    )
 
 
 def _torque_squares(job: Job) -> float:

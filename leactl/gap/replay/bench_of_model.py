@@ -1,7 +1,7 @@
 """From a model file to a bench that can be simulated."""
 
 from leactl.effects import library
-from leactl.effects.plant import Plant, bare
+from leactl.effects.plant import Plant, plant_without_effects
 from leactl.errors import InputError
 from leactl.model.nominal import EffectEntry, Model
 from leactl.vocabulary.effect import effect_definition
@@ -16,7 +16,7 @@ def plant_of(model: Model) -> Plant:
     """
     if faults := [fault for entry in model.effects for fault in _missing_parameters(model, entry)]:
         raise InputError(faults)
-    plant = bare(model)
+    plant = plant_without_effects(model)
     for entry in model.effects:
         library()[entry.effect].act(entry.parameters, plant)
     return plant

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from leactl.effects.hysteresis_and_lags import play
 from leactl.effects.plant import Array
-from leactl.effects.teeth import followed
+from leactl.effects.teeth import follow_loads
 from leactl.gap.replay.cutting import (
     CutJob,
     Index,
@@ -148,7 +148,7 @@ def load_behind_teeth(job: Job, c: Mapping[str, float], samples: Index) -> tuple
     load_constants = np.array(
         [0.5 * job.plant.play, c["load_damping"] / c["load_inertia"], c["load_friction"] / c["load_inertia"]]
     )
-    speeds, twists = followed(speed[:: job.parts], job.clock.interval, *load_constants[:, None])
+    speeds, twists = follow_loads(speed[:: job.parts], job.clock.interval, *load_constants[:, None])
     return speeds[0, samples], twists[0, samples]
 
 
