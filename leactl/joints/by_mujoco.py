@@ -12,7 +12,7 @@ import numpy as np
 
 from leactl.errors import InputError
 from leactl.joints.programs import SERVO_CORNER_HZ, SERVO_HZ
-from leactl.joints.run import PARTS, JointRun, JointSignals
+from leactl.joints.run import STEPS_PER_SAMPLE, JointRun, JointSignals
 
 # the hardest dry friction of MuJoCo's solver: its default creeps where a bearing sticks
 HARD_FRICTION = 'solreffriction="{stiff:.9g} 1" solimpfriction="0.999 0.9999 0.001"'
@@ -28,9 +28,9 @@ GEARED = """<body><joint name="load" type="hinge" axis="0 0 1" armature="{inerti
  frictionloss="0" {hard}/><geom size=".01" mass="1e-9" contype="0" conaffinity="0"/></body>"""
 PLAY = """<tendon><fixed limited="true" range="-{half:.9g} {half:.9g}" solreflimit="{stiff:.9g} 1"
  solimplimit="0.999 0.9999 0.001"><joint joint="rotor" coef="1"/><joint joint="load" coef="-1"/></fixed></tendon>"""
-BURST_SHARE = 0.6  # of a sine: above it, a burst of friction acts
-MESH = 2.0  # steps, time constant of the contact of teeth: MuJoCo's stiffest
-MISSING = "simulator 'mujoco' needs MuJoCo: pip install 'leactl[mujoco]'"
+BURST_SHARE = 0.6  # of a sine's amplitude; above it a burst of friction acts
+MESH_STEPS = 2.0  # steps, time constant of the contact of teeth: MuJoCo's stiffest
+MUJOCO_MISSING = "simulator 'mujoco' needs MuJoCo: pip install 'leactl[mujoco]'"
 
 
 def simulate(runs: Sequence[JointRun]) -> list[JointSignals]:
@@ -43,7 +43,7 @@ def simulate(runs: Sequence[JointRun]) -> list[JointSignals]:
     try:
         import mujoco
     except ImportError as fault:
-        raise InputError(MISSING) from fault
+        raise InputError(MUJOCO_MISSING) from fault
     return [_simulate(mujoco, run) for run in runs]
 
 
@@ -60,12 +60,12 @@ def model_text(run: JointRun) -> str:
             damping=losses * load_inertia * angular_frequency,
             inertia=load_inertia,
         )
-    step = 1.0 / specimen.machine.rate / PARTS
+    step = 1.0 / specimen.machine.rate / STEPS_PER_SAMPLE
     hard = HARD_FRICTION.format(stiff=4.0 * step)
     if gap := run.parameter("gear_backlash", "play"):
         share = run.parameter("gear_backlash", "share")
         geared = GEARED.format(inertia=rotor * share, hard=hard)
-        play = PLAY.format(half=0.5 * gap, stiff=MESH * step)
+        play = PLAY.format(half=0.5 * gap, stiff=MESH_STEPS * step)
     return JOINT.format(
         step=step,
         rotor=rotor * (1.0 - share),
@@ -90,7 +90,7 @@ def _simulate(mujoco: Any, run: JointRun) -> JointSignals:
         zip(run.asked(run.program.current).tolist(), run.asked(run.program.velocity).tolist(), strict=True)
     ):
         reference = drive.reference(current, velocity)
-        for part in range(PARTS):
+        for part in range(STEPS_PER_SAMPLE):
             drive_current = drive.step(reference, part, state.qvel[0])
             angle, speed = state.qpos[0], state.qvel[0]
             damping = effects.damping(state.time)
@@ -112,7 +112,7 @@ class _Drive:
     """Velocity servo, current loop and velocity filter of one drive."""
 
     def __init__(self, run: JointRun) -> None:
-        machine, step = run.specimen.machine, 1.0 / run.specimen.machine.rate / PARTS
+        machine, step = run.specimen.machine, 1.0 / run.specimen.machine.rate / STEPS_PER_SAMPLE
         self._log, self._servo = run.log, run.program.velocity is not None
         self._proportional = 2.0 * math.pi * SERVO_HZ * machine.rotor_inertia / machine.torque_constant
         self._reset = 2.0 * math.pi * SERVO_CORNER_HZ / machine.rate
@@ -146,7 +146,7 @@ class _Drive:
     def step(self, reference: float, part: int, speed: float) -> float:
         """Current that flows [A] after a step."""
         if not self._log.holds:
-            reference = self.before + (reference - self.before) * (part + 1) / PARTS
+            reference = self.before + (reference - self.before) * (part + 1) / STEPS_PER_SAMPLE
         self._delayed.append(reference)
         limited = self._delayed.popleft()
         limit = min(self._bound, self._power_limit / abs(speed)) if speed else self._bound
@@ -157,15 +157,15 @@ class _Drive:
         self._commanded += max(min(limited - self._commanded, self._slew), -self._slew)
         self._current += self._loop * (self._commanded - (self._current + self._offset))
         self._sum += self._current + self._offset
-        if part == PARTS - 1 - self._log.current_late:
-            self.mean, self._sum = self._sum / PARTS, 0.0
+        if part == STEPS_PER_SAMPLE - 1 - self._log.current_late:
+            self.mean, self._sum = self._sum / STEPS_PER_SAMPLE, 0.0
         return self._current
 
     def read(self, velocity: float, part: int) -> None:
         """Filter the encoder's velocity."""
         self._velocity += self._filter * (velocity - self._velocity)
         self._lagging += self._lag * (self._velocity - self._lagging)
-        if part == PARTS - 1 - self._log.velocity_late:
+        if part == STEPS_PER_SAMPLE - 1 - self._log.velocity_late:
             self.logged = self._lagging
 
 
@@ -178,7 +178,7 @@ class _Effects:
         self.geared = "gear_backlash" in self._names
         self.load_friction = run.parameter("gear_backlash", "friction")
         self._bristle = 0.0  # rad, deflection of friction before it slides
-        self._step = 1.0 / run.specimen.machine.rate / PARTS
+        self._step = 1.0 / run.specimen.machine.rate / STEPS_PER_SAMPLE
 
     def torque(self, current: float, angle: float, speed: float, time: float) -> float:
         """Torque on the rotor [N*m]."""

@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from leactl.joints.machine import Generator, JointMachine, declared
+from leactl.joints.machine import Generator, JointMachine, package_yaml
 
 STRENGTHS = ("faint", "plain", "strong")
 SIZE_SPREAD = 0.15  # largest relative departure of a size from that of its strength
 SLOWEST_LEVEL = 0.03  # slowest held level, as a share of the highest speed
-SWINGS = (0.01, 0.04)  # natural frequency of an elastic load, as a share of the sampling rate
-NO_LOAD_SPEEDS = (1.1, 1.4)  # at the end of a drive's voltage, in the highest speed
-LOADS = (0.3, 0.8)  # inertia of a load behind a gear, as a share of the whole
-SAMPLES_A_PERIOD = 4.0  # needed by a periodic effect at the slowest level
+SWING_RATE_SHARES = (0.01, 0.04)  # natural frequency of an elastic load, as a share of the sampling rate
+NO_LOAD_SPEED_RATIOS = (1.1, 1.4)  # no-load speed of a drive at the end of its voltage, over the highest speed
+LOAD_SHARES = (0.3, 0.8)  # inertia of a load behind a gear, as a share of the whole
+SAMPLES_A_PERIOD = 4.0  # samples that a periodic effect needs in a period at the slowest level
 
 
 @dataclass(frozen=True)
@@ -26,39 +26,39 @@ class DrawnEffect:
     parameters: Mapping[str, float]
 
 
-def listed() -> dict[str, Mapping[str, Any]]:
+def listed_rules() -> dict[str, Mapping[str, Any]]:
     """Rules for the effects of the vocabulary that a joint may have, by name."""
-    return {name: rule for name, rule in declared("sizes.yaml").items() if name != "unlisted"}
+    return {name: rule for name, rule in package_yaml("sizes.yaml").items() if name != "unlisted"}
 
 
-def unlisted() -> Mapping[str, Mapping[str, Any]]:
+def unlisted_rules() -> Mapping[str, Mapping[str, Any]]:
     """Rules for the effects that are not in the vocabulary, by name."""
-    rules: Mapping[str, Mapping[str, Any]] = declared("sizes.yaml")["unlisted"]
+    rules: Mapping[str, Mapping[str, Any]] = package_yaml("sizes.yaml")["unlisted"]
     return rules
 
 
-def shown_by(machine: JointMachine) -> list[str]:
+def showable_effects(machine: JointMachine) -> list[str]:
     """Names of the effects of the vocabulary that a machine of this kind may have and its channels can show."""
     return [
         name
-        for name, rule in listed().items()
+        for name, rule in listed_rules().items()
         if set(rule["needs"]) <= set(machine.channels) and machine.kind in rule.get("kinds", [machine.kind])
     ]
 
 
-def alike(name: str) -> list[str]:
+def indistinguishable_effects(name: str) -> list[str]:
     """Names of the effects that no record of a free joint without a voltage can distinguish from this one."""
-    return list(listed()[name].get("alike", [])) if name in listed() else []
+    return list(listed_rules()[name].get("alike", [])) if name in listed_rules() else []
 
 
-def never_beside(name: str) -> list[str]:
+def excluded_effects(name: str) -> list[str]:
     """Names of the effects that are not drawn together with this one: they exclude each other or are equivalent."""
-    return [*alike(name), *listed()[name].get("not_beside", [])]
+    return [*indistinguishable_effects(name), *listed_rules()[name].get("not_beside", [])]
 
 
 def draw_effect(draw: Generator, machine: JointMachine, name: str, strength: str) -> DrawnEffect:
     """Draw an effect's parameters at a strength, in SI units."""
-    rule = listed()[name] if name in listed() else unlisted()[name]
+    rule = listed_rules()[name] if name in listed_rules() else unlisted_rules()[name]
     spread = 1.0 + SIZE_SPREAD * float(draw.uniform(-1.0, 1.0))
     size = rule[strength] * spread * machine.scale(rule["in"])
     if rule.get("signed") and draw.random() < 0.5:
@@ -89,16 +89,16 @@ def draw_secondary_parameters(draw: Generator, machine: JointMachine, name: str)
     if name == "rubbing_bursts":
         return {"period": machine.seconds * float(draw.uniform(0.03, 0.12)), **phase}
     if name == "joint_elasticity":
-        lowest, highest = (share * machine.rate for share in SWINGS)
+        lowest, highest = (share * machine.rate for share in SWING_RATE_SHARES)
         return {
             "frequency": float(np.exp(draw.uniform(np.log(lowest), np.log(highest)))),
             "damping_ratio": float(draw.uniform(0.02, 0.1)),
         }
     if name == "gear_backlash":
-        share = float(draw.uniform(*LOADS))
+        share = float(draw.uniform(*LOAD_SHARES))
         return {"share": share, "friction": share * float(draw.uniform(0.0, 1.0))}
     if name == "voltage_limit":
-        return {"no_load_speed": machine.speed * float(draw.uniform(*NO_LOAD_SPEEDS))}
+        return {"no_load_speed": machine.speed * float(draw.uniform(*NO_LOAD_SPEED_RATIOS))}
     if name == "position_spring":
         reach = machine.speed * machine.seconds * float(draw.uniform(0.02, 0.1))
         return {"rest_angle": float(draw.uniform(-np.pi, np.pi)), "reach": reach}

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 
 from leactl import __version__
-from leactl.joints.effects import DrawnEffect, alike
+from leactl.joints.effects import DrawnEffect, indistinguishable_effects
 from leactl.joints.machine import Specimen, nominal_text
 from leactl.joints.run import Array, JointRun, JointSignals
 from leactl.quantities import ChannelSpec
 from leactl.runfile.write.writer import RunInfo, RunWriter
 
-CREATED = "2026-01-01T00:00:00Z"  # the same for all, so that a seed gives the same files and no date tells a batch
+CREATION_TIME = "2026-01-01T00:00:00Z"  # a constant: a seed gives the same files, and no date tells a batch
 QUANTITIES = {
     "current_reference": ("q_axis_current_reference", "instant"),
     "current": ("q_axis_current", "mean"),
@@ -25,7 +25,7 @@ QUANTITIES = {
 def write_run(folder: Path, case: str, run: JointRun, signals: JointSignals) -> None:
     """Write a run with the channels that the machine logs, with noise and rounding."""
     machine = run.specimen.machine
-    columns = {name: values for name, values in logged(run, signals).items() if name in machine.channels}
+    columns = {name: values for name, values in logged_columns(run, signals).items() if name in machine.channels}
     specs = [
         ChannelSpec(
             name,
@@ -47,7 +47,7 @@ def write_run(folder: Path, case: str, run: JointRun, signals: JointSignals) -> 
         simulated=True,
         mechanical="free",
         software=f"leactl {__version__}",
-        created=CREATED,
+        created=CREATION_TIME,
         sources={"model": nominal_text(machine)},
     )
     count = len(signals.angle)
@@ -56,7 +56,7 @@ def write_run(folder: Path, case: str, run: JointRun, signals: JointSignals) -> 
     writer.path.rename(folder / f"{run.name}.h5")
 
 
-def logged(run: JointRun, signals: JointSignals) -> dict[str, Array]:
+def logged_columns(run: JointRun, signals: JointSignals) -> dict[str, Array]:
     """Channels that a log may have, by name, with noise and rounding."""
     machine, draw = run.specimen.machine, np.random.default_rng([run.seed, 2])
     count, reference = len(signals.angle), signals.reference
@@ -71,7 +71,7 @@ def logged(run: JointRun, signals: JointSignals) -> dict[str, Array]:
     return columns
 
 
-def entry(
+def key_entry(
     specimen: Specimen, kind: str, effects: tuple[DrawnEffect, ...], strength: str | None, machine: str, simulator: str
 ) -> dict[str, Any]:
     """Entry of the key for a case; effects outside the vocabulary count as `unknown`."""
@@ -84,7 +84,7 @@ def entry(
         "strength": strength,
         "parameters": {drawn.name: dict(drawn.parameters) for drawn in effects},
         "true_base": specimen.true_base(),
-        "alike": {name: alike(name) for name in names if alike(name)},
+        "alike": {name: indistinguishable_effects(name) for name in names if indistinguishable_effects(name)},
         "machine": machine,
         "simulator": simulator,
         "ratios_to": "torque_constant",  # free runs without torque or voltage tell no torque, only torques in currents

@@ -11,10 +11,10 @@ import numpy as np
 from leactl import yamlfile
 
 Generator = np.random.Generator
-SECONDS = (12.0, 20.0)  # duration of a run
-RATES = (250.0, 400.0, 500.0, 1000.0)  # Hz
+DURATIONS_S = (12.0, 20.0)  # range of the duration of a run
+SAMPLING_RATES_HZ = (250.0, 400.0, 500.0, 1000.0)
 PROTOCOLS = ("multisine", "levels", "ramp", "steps")
-RESERVE = 1.6  # highest torque over the torque at the highest constant speed
+TORQUE_RESERVE = 1.6  # highest torque over the torque at the highest constant speed
 # largest relative departures of a specimen from the nominal model
 SPREADS = {"torque_constant": 0.06, "rotor_inertia": 0.15, "viscous_damping": 0.3, "coulomb_friction": 0.3}
 
@@ -81,8 +81,8 @@ class Specimen:
 def draw_machine(draw: Generator, kind: str) -> JointMachine:
     """Draw a machine of a kind in `machines.yaml`, and how it is run and logged."""
     values = {name: logarithmic(draw, *limits) for name, limits in kinds()[kind].items()}
-    friction = values["torque_constant"] * values["current"] / RESERVE
-    coulomb, speed, rate = values["coulomb"] * friction, values["speed"], float(draw.choice(RATES))
+    friction = values["torque_constant"] * values["current"] / TORQUE_RESERVE
+    coulomb, speed, rate = values["coulomb"] * friction, values["speed"], float(draw.choice(SAMPLING_RATES_HZ))
     channels = ["current", "angle"]
     channels += [name for name, share in (("current_reference", 0.85), ("velocity", 0.85)) if draw.random() < share]
     channels += ["velocity_reference"] if draw.random() < 0.5 else []
@@ -91,7 +91,7 @@ def draw_machine(draw: Generator, kind: str) -> JointMachine:
     return JointMachine(
         kind=kind,
         rate=rate,
-        seconds=float(draw.uniform(*SECONDS)),
+        seconds=float(draw.uniform(*DURATIONS_S)),
         torque_constant=values["torque_constant"],
         rotor_inertia=friction / speed * values["time"],
         viscous_damping=(friction - coulomb) / speed,
@@ -138,11 +138,11 @@ def logarithmic(draw: Generator, low: float, high: float) -> float:
 
 def kinds() -> Mapping[str, Mapping[str, tuple[float, float]]]:
     """Limits of the drawn parameters of each kind of machine."""
-    limits: Mapping[str, Mapping[str, tuple[float, float]]] = declared("machines.yaml")
+    limits: Mapping[str, Mapping[str, tuple[float, float]]] = package_yaml("machines.yaml")
     return limits
 
 
 @cache
-def declared(name: str) -> Any:
+def package_yaml(name: str) -> Any:
     """Content of a YAML file of this package."""
     return yamlfile.parse((resources.files(__package__) / name).read_text(encoding="utf-8"), name).data

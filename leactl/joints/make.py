@@ -13,8 +13,16 @@ from leactl.emulation.blind.case_counts import KINDS, counts, faults_of, in_turn
 from leactl.emulation.blind.key import write_key
 from leactl.errors import InputError
 from leactl.joints import by_mujoco, stepped
-from leactl.joints.effects import STRENGTHS, DrawnEffect, draw_effect, listed, never_beside, shown_by, unlisted
-from leactl.joints.files import entry, write_run
+from leactl.joints.effects import (
+    STRENGTHS,
+    DrawnEffect,
+    draw_effect,
+    excluded_effects,
+    listed_rules,
+    showable_effects,
+    unlisted_rules,
+)
+from leactl.joints.files import key_entry, write_run
 from leactl.joints.machine import Generator, JointMachine, draw_machine, draw_specimen, kinds, nominal_text
 from leactl.joints.programs import draw_program
 from leactl.joints.run import JointRun, JointSignals, draw_log
@@ -23,8 +31,8 @@ SIMULATORS: dict[str, Callable[[Sequence[JointRun]], list[JointSignals]]] = {
     "stepped": stepped.simulate,
     "mujoco": by_mujoco.simulate,
 }
-AT_ONCE = 20  # cases; their signals take about 100 MB
-REPEATS = ("a", "b")
+CASES_PER_BATCH = 20  # cases; their signals take about 100 MB
+REPEAT_LABELS = ("a", "b")
 
 
 def make(
@@ -55,7 +63,7 @@ def make(
     if simulator not in SIMULATORS:
         faults.append(f"simulator {simulator!r} is not known; known: {', '.join(SIMULATORS)}")
     if simulator == "mujoco" and find_spec("mujoco") is None:
-        faults.append(by_mujoco.MISSING)
+        faults.append(by_mujoco.MUJOCO_MISSING)
     if faults:
         raise InputError(faults)
     seed_number = secrets.randbits(128) if seed is None else seed
@@ -65,11 +73,11 @@ def make(
     digits, entries = max(3, len(str(count))), dict[str, Any]()
     out.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
-    for start in range(0, count, AT_ONCE):
+    for start in range(0, count, CASES_PER_BATCH):
         time_left = f", about {(time.monotonic() - began) / start * (count - start) / 60:.1f} min left" if start else ""
         progress(f"{start} of {count} cases made{time_left}")
         batch: list[tuple[str, JointRun]] = []
-        for k in range(start, min(start + AT_ONCE, count)):
+        for k in range(start, min(start + CASES_PER_BATCH, count)):
             name, machine_index, (kind, effects, strength) = f"case-{k + 1:0{digits}d}", k % machines, plans[k]
             runs = draw_runs(
                 np.random.default_rng([seed_number, 1, k]), drawn_machines[machine_index], effects, strength
@@ -77,7 +85,7 @@ def make(
             batch += [(name, run) for run in runs]
             machine_label = f"{drawn_machines[machine_index].kind} {machine_index + 1}"
             case_strength = strength if effects else None
-            entries[name] = entry(runs[0].specimen, kind, runs[0].effects, case_strength, machine_label, simulator)
+            entries[name] = key_entry(runs[0].specimen, kind, runs[0].effects, case_strength, machine_label, simulator)
             (out / name).mkdir()
             (out / name / "nominal.yaml").write_text(nominal_text(drawn_machines[machine_index]), encoding="utf-8")
         for (name, run), signals in zip(batch, SIMULATORS[simulator]([run for _, run in batch]), strict=True):
@@ -97,7 +105,7 @@ def plan(
 ) -> list[tuple[str, tuple[str, ...], str]]:
     """Draw kind, effects and strength of each case; a machine gets only effects that its channels can show."""
     drawn = [kind for kind, number in counts(count, wanted).items() for _ in range(number)]
-    listed_names, unlisted_names = in_turn(draw, tuple(listed())), in_turn(draw, tuple(unlisted()))
+    listed_names, unlisted_names = in_turn(draw, tuple(listed_rules())), in_turn(draw, tuple(unlisted_rules()))
     plans: list[tuple[str, tuple[str, ...], str]] = []
     for index, kind in enumerate(draw.permutation(drawn).tolist()):
         names: tuple[str, ...] = ()
@@ -113,8 +121,8 @@ def plan(
 
 def next_shown(names: Iterator[str], machine: JointMachine, chosen: Sequence[str]) -> str:
     """Return the next effect that a machine can show together with those in `chosen`."""
-    excluded = {*chosen, *(name for effect in chosen for name in never_beside(effect))}
-    allowed = set(shown_by(machine)) - excluded
+    excluded = {*chosen, *(name for effect in chosen for name in excluded_effects(effect))}
+    allowed = set(showable_effects(machine)) - excluded
     return next(name for name in names if name in allowed)
 
 
@@ -134,5 +142,5 @@ def draw_runs(draw: Generator, machine: JointMachine, effects: Sequence[str], st
             seed=int(draw.integers(0, 2**63)),
         )
         for protocol in machine.protocols
-        for repeat in REPEATS
+        for repeat in REPEAT_LABELS
     ]

@@ -9,9 +9,9 @@ from leactl.joints.effects import SLOWEST_LEVEL
 from leactl.joints.machine import Generator, JointMachine
 
 Array = npt.NDArray[np.float64]
-LEVELS = 10
+LEVEL_COUNT = 10  # held levels of a run
 SERVO_HZ = 3.0  # bandwidth of the velocity servo
-SERVO_CORNER_HZ = 0.6  # below which its integral acts
+SERVO_CORNER_HZ = 0.6  # frequency below which the servo's integral acts
 
 
 @dataclass(frozen=True)
@@ -26,17 +26,17 @@ def draw_program(draw: Generator, machine: JointMachine, protocol: str) -> Joint
     """Draw the references of a run of a protocol."""
     time = np.arange(round(machine.seconds * machine.rate)) / machine.rate
     if protocol == "levels":
-        sizes = np.geomspace(SLOWEST_LEVEL, 1.0, LEVELS) * draw.uniform(0.9, 1.1, LEVELS)
-        signs = np.tile([1.0, -1.0], LEVELS // 2) * draw.choice([-1.0, 1.0])
-        return JointProgram(None, machine.speed * held(draw.permutation(sizes) * signs, time))
+        sizes = np.geomspace(SLOWEST_LEVEL, 1.0, LEVEL_COUNT) * draw.uniform(0.9, 1.1, LEVEL_COUNT)
+        signs = np.tile([1.0, -1.0], LEVEL_COUNT // 2) * draw.choice([-1.0, 1.0])
+        return JointProgram(None, machine.speed * hold_levels(draw.permutation(sizes) * signs, time))
     if protocol == "ramp":
         turns = 2.0 * np.pi * 2.0 * time / machine.seconds
         triangle = 2.0 / np.pi * np.arcsin(np.sin(turns)) * draw.choice([-1.0, 1.0])
         return JointProgram(None, machine.speed * draw.uniform(0.7, 1.0) * triangle)
     if protocol == "steps":
         least = machine.coulomb_friction / machine.torque_constant
-        sizes = draw.uniform(1.1 * least, machine.current / 1.3, LEVELS) * np.tile([1.0, -1.0], LEVELS // 2)
-        return JointProgram(held(sizes, time), None)
+        sizes = draw.uniform(1.1 * least, machine.current / 1.3, LEVEL_COUNT) * np.tile([1.0, -1.0], LEVEL_COUNT // 2)
+        return JointProgram(hold_levels(sizes, time), None)
     frequencies = np.geomspace(0.2, 9.0, 9)
     waves = [np.sin(2.0 * np.pi * (f * time + draw.random())) / np.sqrt(f) for f in frequencies]
     total = np.sum(waves, axis=0)
@@ -45,6 +45,6 @@ def draw_program(draw: Generator, machine: JointMachine, protocol: str) -> Joint
     return JointProgram(np.clip(current, -machine.current, machine.current), None)
 
 
-def held(levels: Array, time: Array) -> Array:
+def hold_levels(levels: Array, time: Array) -> Array:
     """Hold each level for the same time."""
     return np.asarray(levels[np.arange(len(time)) * len(levels) // len(time)], np.float64)

@@ -10,7 +10,7 @@ from leactl.joints.machine import Generator, Specimen
 from leactl.joints.programs import JointProgram
 
 Array = npt.NDArray[np.float64]
-PARTS = 8  # steps of a simulator in a sample
+STEPS_PER_SAMPLE = 8  # steps of a simulator in a sample
 
 
 @dataclass(frozen=True)
@@ -64,5 +64,5 @@ def draw_log(draw: Generator, is_stated: bool) -> Log:
     """Draw the conventions of a log; return those of the run format if the log states what its stamps mean."""
     if is_stated:
         return Log()
-    ages = draw.integers(0, PARTS, 2)
+    ages = draw.integers(0, STEPS_PER_SAMPLE, 2)
     return Log(bool(draw.random() < 0.5), bool(draw.random() < 0.5), int(ages[0]), int(ages[1]))

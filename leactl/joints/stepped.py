@@ -5,12 +5,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from leactl.joints.programs import SERVO_CORNER_HZ, SERVO_HZ
-from leactl.joints.run import PARTS, Array, JointRun, JointSignals
+from leactl.joints.run import STEPS_PER_SAMPLE, Array, JointRun, JointSignals
 
 Column = Callable[[Callable[[JointRun], float]], Array]  # one number of every lane
 Parameter = Callable[..., Array]  # effect, parameter and value without effect, for every lane
-TINY = 1e-9  # V, back-EMF below which no power folds a current back
-BURST = 0.6  # of a sine: above it, a burst of friction acts
+LEAST_BACK_EMF = 1e-9  # V; avoids a division by zero at rest, where no power limits a current
+BURST_SHARE = 0.6  # of a sine's amplitude; above it a burst of friction acts
 
 
 def simulate(runs: Sequence[JointRun]) -> list[JointSignals]:
@@ -50,7 +50,7 @@ class JointLanes:
         def true(name: str) -> Array:
             return column(lambda run: float(getattr(run.specimen, name)))
 
-        self.step = 1.0 / nominal("rate") / PARTS
+        self.step = 1.0 / nominal("rate") / STEPS_PER_SAMPLE
         self.constant, self.damping, self.coulomb = map(
             true, ("torque_constant", "viscous_damping", "coulomb_friction")
         )
@@ -94,8 +94,8 @@ class JointLanes:
         self.queue = np.zeros((int(self.delay.max()) + 1, len(runs)))
         self.lane = np.arange(len(runs))
         self.holds = column(lambda run: float(run.log.holds))
-        self.current_at = column(lambda run: float(PARTS - 1 - run.log.current_late))
-        self.velocity_at = column(lambda run: float(PARTS - 1 - run.log.velocity_late))
+        self.current_at = column(lambda run: float(STEPS_PER_SAMPLE - 1 - run.log.current_late))
+        self.velocity_at = column(lambda run: float(STEPS_PER_SAMPLE - 1 - run.log.velocity_late))
 
     def _torques(self, effect: Parameter) -> None:
         self.loss = effect("saturation", "loss") / effect("saturation", "current", 1.0) ** 2
@@ -127,11 +127,13 @@ class JointLanes:
         """Advance by one sample; returns reference, current, velocity and angle as the drive reads them."""
         reference = current + self.servo * self._servo(velocity)
         logged_current, logged_velocity = self.current, self.reading
-        for part in range(PARTS):
-            self._drive_step(self.before + (reference - self.before) * np.maximum(self.holds, (part + 1) / PARTS))
+        for part in range(STEPS_PER_SAMPLE):
+            self._drive_step(
+                self.before + (reference - self.before) * np.maximum(self.holds, (part + 1) / STEPS_PER_SAMPLE)
+            )
             self._rotor_step()
             self.charge = self.charge + self.current + self.offset
-            mean = (self.charge - self.charge_before) / PARTS
+            mean = (self.charge - self.charge_before) / STEPS_PER_SAMPLE
             due = self.current_at == part
             logged_current = np.where(due, mean, logged_current)
             self.charge_before = np.where(due, self.charge, self.charge_before)
@@ -151,7 +153,7 @@ class JointLanes:
         depth = len(self.queue)
         self.queue[self.steps % depth] = reference
         late = self.queue[(self.steps - self.delay) % depth, self.lane]
-        fast = np.maximum(np.abs(self.speed) * self.constant, TINY)
+        fast = np.maximum(np.abs(self.speed) * self.constant, LEAST_BACK_EMF)
         late = np.clip(late, -np.minimum(self.bound, self.power / fast), np.minimum(self.bound, self.power / fast))
         back_emf_share = self.speed / self.no_load_speed
         late = np.clip(late, self.stall_current * (-1.0 - back_emf_share), self.stall_current * (1.0 - back_emf_share))
@@ -227,7 +229,7 @@ class JointLanes:
 
     def _uneven(self, angle: Array, speed: Array) -> Array:
         """Factor on Coulomb friction at an angle and a speed."""
-        is_burst = np.sin(self.burst_rate * self.time + self.burst_phase) > BURST
+        is_burst = np.sin(self.burst_rate * self.time + self.burst_phase) > BURST_SHARE
         factor = 1.0 + self.breakaway * np.exp(-np.abs(speed) / self.stribeck_velocity) + self.burst * is_burst
         factor *= 1.0 + self.asymmetry * np.sign(speed)
         return np.asarray(factor * (1.0 + self.uneven * np.cos(self.uneven_order * angle + self.uneven_phase)))

@@ -11,14 +11,23 @@ from typer.testing import CliRunner
 from leactl.cli.main import app
 from leactl.errors import InputError
 from leactl.joints import by_mujoco, machine, stepped
-from leactl.joints.effects import SIZE_SPREAD, STRENGTHS, DrawnEffect, alike, draw_effect, listed, shown_by, unlisted
+from leactl.joints.effects import (
+    SIZE_SPREAD,
+    STRENGTHS,
+    DrawnEffect,
+    draw_effect,
+    indistinguishable_effects,
+    listed_rules,
+    showable_effects,
+    unlisted_rules,
+)
 from leactl.joints.machine import draw_machine, kinds
 from leactl.joints.make import draw_runs, make
 from leactl.joints.programs import JointProgram
 from leactl.model.nominal import read_model
 from leactl.vocabulary.effect import effect_definition
 
-EFFECTS = ("", *listed(), *unlisted())
+EFFECTS = ("", *listed_rules(), *unlisted_rules())
 ALIKE = 0.03  # of the largest value, that the two may differ by: near rest they stick a step apart
 
 
@@ -91,7 +100,7 @@ def test_a_motor_with_play_is_ahead_of_the_rigid_one_by_the_load_s_share_of_it(s
 
 def test_only_machines_with_a_gear_have_play():
     draw = np.random.default_rng(2)
-    loose = {kind for kind in kinds() if "gear_backlash" in shown_by(draw_machine(draw, kind))}
+    loose = {kind for kind in kinds() if "gear_backlash" in showable_effects(draw_machine(draw, kind))}
     assert loose == {"geared_joint", "heavy_axis", "hobby_servo", "exoskeleton"}
 
 
@@ -105,26 +114,26 @@ def most(name):
 
 def test_sizes_grow_and_names_are_the_vocabularys():
     drawn = draw_machine(np.random.default_rng(1), "wheel_motor")
-    for name in listed():
+    for name in listed_rules():
         sizes = []
         for strength in STRENGTHS:
             effect = draw_effect(np.random.default_rng(5), drawn, name, strength)
-            sizes.append(abs(effect.parameters[listed()[name]["size"]]))
+            sizes.append(abs(effect.parameters[listed_rules()[name]["size"]]))
             assert set(effect.parameters) <= set(effect_definition(name).parameters)
-        assert (1.0 + SIZE_SPREAD) * listed()[name]["strong"] * (listed()[name]["in"] == "1") <= most(name)
+        assert (1.0 + SIZE_SPREAD) * listed_rules()[name]["strong"] * (listed_rules()[name]["in"] == "1") <= most(name)
         assert sizes == sorted(sizes, reverse=name in BOUNDS), name
-        assert all(name in alike(other) for other in alike(name))
+        assert all(name in indistinguishable_effects(other) for other in indistinguishable_effects(name))
 
 
 def test_a_machine_without_a_reference_is_given_no_late_drive():
     drawn = replace(draw_machine(np.random.default_rng(1), "spindle"), channels=("current", "angle"))
-    assert not {"transport_delay", "command_slew_limit", "velocity_filter_lag"} & set(shown_by(drawn))
+    assert not {"transport_delay", "command_slew_limit", "velocity_filter_lag"} & set(showable_effects(drawn))
 
 
 @pytest.fixture
 def short(monkeypatch):
     """Runs of a quarter of a second: the same drawing, a fiftieth of the work."""
-    monkeypatch.setattr(machine, "SECONDS", (0.2, 0.3))
+    monkeypatch.setattr(machine, "DURATIONS_S", (0.2, 0.3))
 
 
 def test_cases_are_whole_and_a_seed_gives_them_again(tmp_path, short):
