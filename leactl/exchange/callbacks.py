@@ -11,8 +11,8 @@ from leactl.exchange.robot_patch import Patch
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 
-WIDTH = 110
-FIGURES = "PARAMETERS: dict[str, Any] = {}\n"
+LINE_WIDTH = 110  # characters, of the file of callbacks
+PARAMETERS_LINE = "PARAMETERS: dict[str, Any] = {}\n"  # of `mujoco_effects`, which the parameters of a joint replace
 
 
 def callbacks(model: Model, patched: Patch, source: Path, into: Path, out: Path) -> str:
@@ -25,13 +25,13 @@ def callbacks(model: Model, patched: Patch, source: Path, into: Path, out: Path)
     text = (resources.files("leactl.exchange") / "mujoco_effects.py").read_text(encoding="utf-8")
     body = text.split('"""\n', 1)[1]
     figures = f"PARAMETERS: dict[str, Any] = {_literal(parameters(model, patched))}\n"
-    return _heading(patched, source, into, out) + body.replace(FIGURES, figures, 1)
+    return _heading(patched, source, into, out) + body.replace(PARAMETERS_LINE, figures, 1)
 
 
 def _literal(value: Any, indent: str = "") -> str:
     """Return a mapping or list as Python text, with one entry a line where it does not fit on one line."""
     inner = indent + "    "
-    if not isinstance(value, dict | list) or len(indent) + len(repr(value)) < WIDTH - 10:
+    if not isinstance(value, dict | list) or len(indent) + len(repr(value)) < LINE_WIDTH - 10:
         return repr(value)
     if isinstance(value, list):
         lines = [f"{inner}{_literal(part, inner)},\n" for part in value]
@@ -102,7 +102,7 @@ def _heading(patched: Patch, source: Path, into: Path, out: Path) -> str:
     for destination in patched.effects:
         meaning = effect_definition(destination.entry.effect).meaning
         where = {CALLBACKS: "here", MJCF: f"in {out.name}"}.get(destination.goes_to, f"nowhere, {destination.reason}")
-        lines += wrap(f"- {destination.entry.effect} ({where}): {meaning}", WIDTH, subsequent_indent="  ")
+        lines += wrap(f"- {destination.entry.effect} ({where}): {meaning}", LINE_WIDTH, subsequent_indent="  ")
     if not patched.effects:
         lines.append("The model has no effects.")
     text = "\n".join(lines).replace("\\", "\\\\").replace('"""', "'''")

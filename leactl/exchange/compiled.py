@@ -16,10 +16,10 @@ from leactl.errors import InputError
 from leactl.exchange.xml_text import XmlText, read_xml
 
 Array = npt.NDArray[np.float64]
-MISSING = "MuJoCo is not installed: pip install 'leactl[mujoco]'"
-MOST_NAMES = 20  # of joints that a fault lists
-DAMPING_SPEED = 1e-6  # rad/s at which damping is taken: a polynomial's higher terms vanish
-SAME_WITHIN = 1e-9  # relative difference up to which two figures count as the same
+MUJOCO_MISSING = "MuJoCo is not installed: pip install 'leactl[mujoco]'"
+MOST_LISTED_NAMES = 20  # names of joints that a fault lists
+DAMPING_SPEED = 1e-6  # rad/s at which damping is measured: a polynomial's higher terms vanish
+EQUALITY_TOLERANCE = 1e-9  # relative difference up to which two figures count as equal
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def import_mujoco() -> Any:
     try:
         import mujoco
     except ImportError as fault:
-        raise InputError(MISSING) from fault
+        raise InputError(MUJOCO_MISSING) from fault
     return mujoco
 
 
@@ -169,8 +169,9 @@ def _suggestion(name: str, known_names: list[str]) -> str:
         return "the file names none"
     if close := get_close_matches(name, known_names, n=1):
         return f"did you mean '{close[0]}'?"
-    shown = ", ".join(known_names[:MOST_NAMES])
-    return f"known: {shown}{f' and {len(known_names) - MOST_NAMES} more' if len(known_names) > MOST_NAMES else ''}"
+    shown = ", ".join(known_names[:MOST_LISTED_NAMES])
+    unlisted = len(known_names) - MOST_LISTED_NAMES
+    return f"known: {shown}{f' and {unlisted} more' if unlisted > 0 else ''}"
 
 
 class _CompiledJoint:
@@ -311,7 +312,7 @@ class _CompiledJoint:
             return sine, 0.0
         cosine = self._bias(start + 0.5 * math.pi)
         level = math.hypot(sine, cosine)
-        if level <= SAME_WITHIN * float(self.model.body_subtreemass[self.body]):
+        if level <= EQUALITY_TOLERANCE * float(self.model.body_subtreemass[self.body]):
             return 0.0, 0.0
         return level, math.remainder(start - math.atan2(sine, cosine), 2.0 * math.pi)
 
@@ -385,7 +386,7 @@ class _CompiledJoint:
             return "torque"
         if int(model.actuator_biastype[index]) != mujoco.mjtBias.mjBIAS_AFFINE or bias[0] or bias[2] > 0.0:
             return "other"
-        near = SAME_WITHIN * abs(float(gain[0]))
+        near = EQUALITY_TOLERANCE * abs(float(gain[0]))
         if gain[0] > 0.0 and abs(gain[0] + bias[1]) <= near:
             return "position"
         return "velocity" if gain[0] > 0.0 and bias[1] == 0.0 and abs(gain[0] + bias[2]) <= near else "other"
@@ -403,7 +404,7 @@ class _CompiledJoint:
     def _smaller(self, limits: Array, attribute: str) -> float:
         """Return the smaller magnitude of two limits; add a note if they are not symmetric."""
         low, high = _pair(limits)
-        if abs(low + high) > SAME_WITHIN * max(abs(low), abs(high)):
+        if abs(low + high) > EQUALITY_TOLERANCE * max(abs(low), abs(high)):
             self.notes.append(
                 f"{attribute} {low:g} to {high:g} is not the same both ways; the smaller of the two counts"
             )

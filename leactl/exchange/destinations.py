@@ -36,7 +36,7 @@ ACTS_ON = {
     "voltage_limit": CURRENT,
 }
 """What each effect of the callbacks acts on: the joint, a drive of either kind, or a drive of one kind."""
-IN_AMPERES = (
+EFFECTS_IN_AMPERES = (
     "command_slew_limit",
     "current_sensor_offset",
     "power_foldback",
@@ -95,6 +95,6 @@ def _why_not(effect: str, model: Model, law: str | None) -> str:
     if law is None or where not in ("drive", law):
         drive = "drive" if where == "drive" else where
         return f"it acts on a {drive}, and the joint has none that the model describes"
-    if effect in IN_AMPERES and model.torque_constant is None:
+    if effect in EFFECTS_IN_AMPERES and model.torque_constant is None:
         return "it is in A, and the model has no torque_constant"
     return ""

@@ -13,7 +13,7 @@ import yaml
 from leactl.errors import InputError
 from leactl.exchange.callbacks import callbacks
 from leactl.exchange.export_request import refuse_unusable_outputs, write_all
-from leactl.exchange.playing import play, playable, rms_of_error
+from leactl.exchange.playing import check_playable, play, rms_of_error
 from leactl.exchange.robot_joint import import_joint
 from leactl.exchange.robot_patch import Patch, patch, write_patch
 from leactl.gap.diagnose import diagnose, read_case
@@ -123,7 +123,7 @@ def close_loop(
         nominal = Path(folder) / f"{files.robot.stem}.yaml"
         nominal.write_text(imported.text, encoding="utf-8")
         case = read_case(files.runs, files.held_out, nominal)
-    playable([*case.fitted, *case.held_out])
+    check_playable([*case.fitted, *case.held_out])
     trial = files.out.with_name(f".{files.out.name}.trial.xml")
     try:  # a model that does not fit is refused before minutes are spent
         write_patch(patch(imported.model, files.robot, joint, "mjcf"), trial)

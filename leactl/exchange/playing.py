@@ -18,7 +18,7 @@ HELD_INERTIA_FACTOR = 1e6  # on the armature of other joints, which then stay in
 ANGLE_REFERENCE, ANGLE = ("angle_reference", "test"), ("angle", "test")
 
 
-def playable(records: Sequence[Record]) -> None:
+def check_playable(records: Sequence[Record]) -> None:
     """Raise if runs cannot be simulated with a position actuator.
 
     Raises

@@ -12,10 +12,10 @@ from leactl.errors import InputError
 from leactl.exchange.compiled import Joint, JointActuator, read_joint
 from leactl.model.nominal import Model
 
-DIGITS = 9  # of figures in a file; further digits of a compiled model are rounding errors
-MOST_HANGING_OFFSET = 1e-6  # rad off straight down, up to which a load is a pendulum
-ALONG_A_SLIDE = {"N*m": "N", "rad": "m", "rad/s": "m/s", "kg*m^2": "kg", "N*m*s/rad": "N*s/m"}
-NOT_OF_A_SIMULATOR = {
+DIGITS = 9  # significant digits of figures in a file; further digits of a compiled model are rounding errors
+MOST_HANGING_OFFSET = 1e-6  # rad from straight down, up to which a load is a pendulum
+SLIDE_UNITS = {"N*m": "N", "rad": "m", "rad/s": "m/s", "kg*m^2": "kg", "N*m*s/rad": "N*s/m"}
+KEYS_WITHOUT_SOURCE = {
     "bench.velocity_filter_bandwidth": "how the drive filters its velocity",
     "encoder_lines": "the encoder's counts",
     "thermal": "how the winding heats",
@@ -92,7 +92,7 @@ def import_joint(path: Path, name: str, supply: float | None = None, ctrl_is_cur
     writing.mechanics()
     writing.weight()
     writing.drive(supply, ctrl_is_current)
-    missing = writing.missing | NOT_OF_A_SIMULATOR
+    missing = writing.missing | KEYS_WITHOUT_SOURCE
     heading = [yamlfile.printable(f"# joint '{name}' of {path.name}, as MuJoCo compiles it")]
     heading += [yamlfile.printable(f"# not in that file: {key}: {reason}") for key, reason in missing.items()]
     keys = {key: writing.keys[key] for key in Model.model_fields if key in writing.keys}
@@ -136,7 +136,7 @@ class _ModelKeys:
             spring = {"stiffness": joint.stiffness, "rest_angle": joint.spring_rest}
             self.keys["effects"] = [{"effect": "position_spring", "parameters": spring}]
         if joint.slides:
-            self.keys["units"] = ALONG_A_SLIDE
+            self.keys["units"] = SLIDE_UNITS
 
     def weight(self) -> None:
         """Split the inertia into a point mass on a lever, which gives the weight, and the remainder."""

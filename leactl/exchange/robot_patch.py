@@ -13,7 +13,7 @@ from leactl.exchange.xml_text import Element, XmlText
 from leactl.model.nominal import Model
 from leactl.runfile.publish import new_file
 
-SAME_WITHIN = 1e-6  # relative difference between a written figure and the one that MuJoCo reads
+WRITTEN_TOLERANCE = 1e-6  # relative difference between a written figure and the one that MuJoCo reads
 # steps, time constant of MuJoCo's friction at rest: its default of 20 ms creeps where a bearing sticks
 STICKING_STEPS = 4.0
 STICKING_IMPEDANCE = "0.999 0.9999 0.001"  # solimpfriction of a bearing that sticks
@@ -158,12 +158,12 @@ class _JointPatch:
         if model.rotor_inertia is not None:
             bodies = joint.inertia - joint.armature
             armature = model.rotor_inertia + model.load.inertia - bodies
-            if armature < -SAME_WITHIN * bodies:
+            if armature < -WRITTEN_TOLERANCE * bodies:
                 self.notes.append(
                     f"the bodies alone have an inertia of {bodies:.6g} kg*m^2 about the joint, the model has"
                     f" {bodies + armature:.6g} in all: armature is 0, and {-armature:.6g} too much is left"
                 )
-            self.figures["armature"] = max(armature, 0.0) if abs(armature) > SAME_WITHIN * bodies else 0.0
+            self.figures["armature"] = max(armature, 0.0) if abs(armature) > WRITTEN_TOLERANCE * bodies else 0.0
         if model.viscous_damping is not None or self.servo is not None:
             added = joint.damping - joint.attribute_damping  # by the actuator's own attribute
             braking = self.servo.braking if self.servo is not None else 0.0
@@ -323,7 +323,7 @@ def figures_of(joint: Joint) -> dict[str, float]:
 
 def same_figure(first: float, second: float) -> bool:
     """Return whether two figures are equal within the rounding of a file."""
-    return math.isclose(first, second, rel_tol=SAME_WITHIN, abs_tol=1e-12)
+    return math.isclose(first, second, rel_tol=WRITTEN_TOLERANCE, abs_tol=1e-12)
 
 
 def attribute_text(value: float) -> str:

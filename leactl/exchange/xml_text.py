@@ -10,7 +10,7 @@ from xml.sax.saxutils import quoteattr
 from leactl.errors import InputError
 from leactl.regular_files import file_bytes
 
-MOST_BYTES = 1 << 24
+MOST_FILE_BYTES = 1 << 24
 _ATTRIBUTE = re.compile(r"""\s+([^\s=/>"']+)\s*=\s*("[^"]*"|'[^']*')""")
 
 
@@ -82,7 +82,7 @@ def read_xml(path: Path) -> XmlText:
     InputError : the file is absent, no regular file, larger than 16 MiB, not UTF-8, no XML, or declares a document
         type.
     """
-    return parse_xml(file_bytes(path, MOST_BYTES), str(path))
+    return parse_xml(file_bytes(path, MOST_FILE_BYTES), str(path))
 
 
 def parse_xml(raw: bytes, name: str) -> XmlText:
