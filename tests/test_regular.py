@@ -5,13 +5,13 @@ import os
 import pytest
 
 from leactl.errors import InputError
-from leactl.model.cycle import MOST_BYTES, MOST_ROWS, read_cycle
+from leactl.model.cycle import MOST_FILE_BYTES, MOST_ROWS, read_cycle
 from leactl.regular_files import open_regular
 from leactl.tables import text_table
 from leactl.tables.text_table import MOST_BYTES as MOST_OF_TABLE
 from tests.driver.camera import camera
 
-READERS = {"cycle": (read_cycle, MOST_BYTES), "camera": (lambda path: camera().read_files([path]), MOST_OF_TABLE)}
+READERS = {"cycle": (read_cycle, MOST_FILE_BYTES), "camera": (lambda path: camera().read_files([path]), MOST_OF_TABLE)}
 
 
 @pytest.fixture(params=["fifo", "device"])

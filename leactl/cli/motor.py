@@ -79,11 +79,11 @@ def scale(
 ) -> None:
     """Scale a known motor by its air-gap radius, thickness and length kept, as the LEA was sized."""
     from leactl.model.motor import load_sheet
-    from leactl.model.scaling import scaled
+    from leactl.model.scaling import scaled_figures
     from leactl.report.motor_design import scaled_text
 
     sheet = load_sheet(motor)[0]
-    quantities = scaled(sheet, radius / 1e3, None if known_radius is None else known_radius / 1e3)
+    quantities = scaled_figures(sheet, radius / 1e3, None if known_radius is None else known_radius / 1e3)
     if as_json:
         rows = [
             {

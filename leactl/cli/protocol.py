@@ -29,10 +29,10 @@ BENCH = typer.Option("", "--bench", help="Check the setpoints against this bench
 @app.command("list", epilog=examples("protocol list"))
 def list_protocols(as_json: bool = AS_JSON) -> None:
     """List the protocols that ship with leactl."""
-    from leactl.protocol.shipped import listed
+    from leactl.protocol.shipped import listed_protocols
     from leactl.report.terminal import duration, list_line
 
-    protocols = listed()
+    protocols = listed_protocols()
     if as_json:
         typer.echo(json.dumps({"protocols": [protocol._asdict() for protocol in protocols]}))
         return
@@ -149,12 +149,12 @@ def _checked(protocol: str) -> "Plan":
     from pathlib import Path
 
     from leactl import yamlfile
-    from leactl.protocol.protocolfile import NO_OVERRIDES, expanded, load, locate
+    from leactl.protocol.protocolfile import NO_OVERRIDES, expand_document, load, locate
     from leactl.runner.acceptance import check_analysis
 
     if protocol == "-":
         document = yamlfile.decoded(sys.stdin.buffer.read(yamlfile.MAX_BYTES + 1), STDIN)
-        plan = expanded(document, Path(), NO_OVERRIDES, "")
+        plan = expand_document(document, Path(), NO_OVERRIDES, "")
         check_analysis(plan, STDIN)
     else:
         plan = load(protocol)

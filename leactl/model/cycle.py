@@ -20,19 +20,19 @@ from leactl.errors import InputError
 from leactl.tables.columns import Columns, CsvForm
 
 Array = npt.NDArray[np.float64]
-POINTS = 720  # evenly spaced samples of a cycle
-HARMONICS = 10  # default number for the angle: up to 10 Hz at one stride per second
+POINTS_PER_CYCLE = 720  # evenly spaced samples of a cycle
+DEFAULT_HARMONICS = 10  # default number for the angle: up to 10 Hz at one stride per second
 FEWEST_ROWS, MOST_ROWS = 12, 100_000
-LARGEST = 1e6  # magnitude of any number in the file, in the unit of its column
-MOST_BYTES = 1 << 25  # size of the file: about 300 bytes for each of `MOST_ROWS`
-LEAST_HARMONICS = 4  # fewer do not describe the angle of a joint
-CLOSED_WITHIN = 0.05  # largest difference between first and last value, as a share of the quantity's range
-CLOSED_WITHOUT_STRIDE_TIME = 0.01  # the same if the period is known from the last row alone
+LARGEST_NUMBER = 1e6  # magnitude of any number in the file, in the unit of its column
+MOST_FILE_BYTES = 1 << 25  # size of the file: about 300 bytes for each of `MOST_ROWS`
+FEWEST_HARMONICS = 4  # fewer do not describe the angle of a joint
+CLOSING_TOLERANCE = 0.05  # largest difference between first and last value, as a share of the quantity's range
+CLOSING_TOLERANCE_WITHOUT_STRIDE_TIME = 0.01  # the same if the period is known from the last row alone
 NOTED_RESIDUAL = 0.02  # residual of the series that is noted, as a share of the angle's range; noise leaves under 0.01
 SLIP_RATIO = 0.5  # one sample is an outlier if the residual falls below this share without it; sharp turns leave 0.7
 STRIDE_TIME_RANGE = (0.05, 60.0)  # s
 CLOSING_SHARE = 0.1  # of a row's step, by which the closing row may miss the end of the cycle: rounding of the file
-NAMES = {
+COLUMN_NAMES = {
     "phase": ("cycle_percent", "time_s"),
     "angle": ("angle_rad", "angle_deg"),
     "torque": ("torque_Nm", "torque_Nm_per_kg"),
@@ -43,7 +43,7 @@ JOINT_LIMITS = {"angle_rad": 2.0 * math.pi, "angle_deg": 360.0, "torque_Nm": 200
 
 @dataclass(frozen=True, eq=False)
 class Cycle:
-    """One cycle of a joint, `POINTS` samples evenly spaced over its period."""
+    """One cycle of a joint, `POINTS_PER_CYCLE` samples evenly spaced over its period."""
 
     name: str
     period: float  # s
@@ -57,7 +57,7 @@ class Cycle:
 
 
 def read_cycle(
-    path: Path, stride_time: float | None = None, body_mass: float | None = None, harmonics: int = HARMONICS
+    path: Path, stride_time: float | None = None, body_mass: float | None = None, harmonics: int = DEFAULT_HARMONICS
 ) -> Cycle:
     """Read one cycle and fit the angle by a Fourier series.
 
@@ -77,7 +77,7 @@ def read_cycle(
     for name, values, size in ((columns[1], angle, np.ptp(angle)), (columns[2], torque, np.abs(torque).max())):
         if size > JOINT_LIMITS[name]:
             verb = "ranges over" if name.startswith("angle") else "reaches"
-            names = *NAMES["angle"], *NAMES["torque"]
+            names = *COLUMN_NAMES["angle"], *COLUMN_NAMES["torque"]
             other_unit = next(column for column in names if column[0] == name[0] and column != name)
             raise InputError(
                 f"{path}: {name} {verb} {size:g}, at most {JOINT_LIMITS[name]:g} was expected of a joint; is it"
@@ -102,7 +102,7 @@ def read_cycle(
     notes = []
     if harmonic_count < harmonics:
         notes.append(f"{harmonic_count} harmonics of the angle are kept: its rows are too far apart for {harmonics}")
-    grid_positions = np.arange(POINTS) / POINTS
+    grid_positions = np.arange(POINTS_PER_CYCLE) / POINTS_PER_CYCLE
     series, slope, curvature, fitted = _series(position, angle, harmonic_count, grid_positions)
     relative_residual, residual_notes = _residual_and_notes(position, angle, fitted, lines, harmonic_count)
     return Cycle(
@@ -123,16 +123,16 @@ def _allowed_harmonics(path: Path, position: Array, requested: int) -> int:
 
     Raises
     ------
-    InputError : the gap allows fewer than `LEAST_HARMONICS`, or than `requested` if that is smaller.
+    InputError : the gap allows fewer than `FEWEST_HARMONICS`, or than `requested` if that is smaller.
     """
     gaps = np.diff(position, append=position[0] + 1.0)
     widest_row = int(np.argmax(gaps))
     allowed = math.ceil(0.5 / float(gaps[widest_row]) - 1e-6) - 1
-    if allowed < min(LEAST_HARMONICS, requested):
+    if allowed < min(FEWEST_HARMONICS, requested):
         raise InputError(
             f"{path}: nothing is told from {position[widest_row]:.1%} to"
             f" {position[widest_row] + gaps[widest_row]:.1%} of the cycle; rows less than"
-            f" {0.5 / min(LEAST_HARMONICS, requested):.1%} apart were expected"
+            f" {0.5 / min(FEWEST_HARMONICS, requested):.1%} apart were expected"
         )
     return min(allowed, requested)
 
@@ -224,7 +224,7 @@ def _expect_closed(path: Path, name: str, values: Array, closing: bool, stride_t
     InputError : the difference is larger than allowed.
     """
     steps = np.abs(np.diff(values))
-    fraction = CLOSED_WITHIN if stride_time_given else CLOSED_WITHOUT_STRIDE_TIME
+    fraction = CLOSING_TOLERANCE if stride_time_given else CLOSING_TOLERANCE_WITHOUT_STRIDE_TIME
     allowed = max(fraction * float(np.ptp(values)), 0.0 if closing else 2.0 * float(steps.max()))
     distance = abs(float(values[-1] - values[0]))
     if distance > allowed:
@@ -243,13 +243,13 @@ def _table(path: Path) -> tuple[list[str], list[int], Array]:
     InputError : no such file, a column that is absent or present in two units, cells that are not numbers, or fewer
         rows than `FEWEST_ROWS` or more than `MOST_ROWS`.
     """
-    known_names = [name for quantity_names in NAMES.values() for name in quantity_names]
+    known_names = [name for quantity_names in COLUMN_NAMES.values() for name in quantity_names]
     form = CsvForm(comment="", missing=())
     table = Columns(
-        path, form, known_names, every_row=False, most_bytes=MOST_BYTES, most_rows=MOST_ROWS + 1, most_faults=1
+        path, form, known_names, every_row=False, most_bytes=MOST_FILE_BYTES, most_rows=MOST_ROWS + 1, most_faults=1
     )
     names: list[str] = []
-    for quantity, quantity_names in NAMES.items():
+    for quantity, quantity_names in COLUMN_NAMES.items():
         matches = [name for name in table.names if name in quantity_names]
         if len(matches) != 1:
             expected = " or ".join(quantity_names)
@@ -260,4 +260,4 @@ def _table(path: Path) -> tuple[list[str], list[int], Array]:
     if not FEWEST_ROWS <= count <= MOST_ROWS:
         rows = f"more than {MOST_ROWS}" if count > MOST_ROWS else f"{count}"
         raise InputError(f"{path}: {rows} rows below the header; from {FEWEST_ROWS} to {MOST_ROWS} were expected")
-    return names, table.lines.tolist(), table.numbers(names, LARGEST)
+    return names, table.lines.tolist(), table.numbers(names, LARGEST_NUMBER)

@@ -29,9 +29,9 @@ REQUIRED_FIELDS = (
     "rotor_inertia",
     "viscous_damping",
 )
-RATIOS = (0.05, 5000.0)
+RATIO_RANGE = (0.05, 5000.0)  # turns of the motor for one of the joint
 RATIO_COUNT = 300  # ratios tried, evenly on a logarithmic scale; as many again around the best of them
-REST_VELOCITY = 1e-9  # rad/s, below which the joint is at rest
+REST_VELOCITY = 1e-9  # rad/s, up to which the joint is at rest
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,8 @@ def stride(
     ------
     InputError : parameters that the motor file lacks, or a ratio, an efficiency or a supply out of range.
     """
-    if not RATIOS[0] <= ratio <= RATIOS[1]:
-        raise InputError(f"ratio {ratio:g}: from {RATIOS[0]:g} to {RATIOS[1]:g} was expected")
+    if not RATIO_RANGE[0] <= ratio <= RATIO_RANGE[1]:
+        raise InputError(f"ratio {ratio:g}: from {RATIO_RANGE[0]:g} to {RATIO_RANGE[1]:g} was expected")
     return _RatioSweep(motor, cycle, np.array([ratio]), efficiency, supply or DriveSupply()).stride(0)
 
 
@@ -99,7 +99,7 @@ def best_ratio(motor: MotorSheet, cycle: Cycle, efficiency: float = 1.0, supply:
     ------
     InputError : as `stride`.
     """
-    low, high = RATIOS
+    low, high = RATIO_RANGE
     for _ in range(2):
         ratios = np.geomspace(low, high, RATIO_COUNT)
         sweep = _RatioSweep(motor, cycle, ratios, efficiency, supply or DriveSupply())

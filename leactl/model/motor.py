@@ -14,11 +14,11 @@ from leactl.model.derived_quantities import continuous_torques
 from leactl.model.motor_schema import MotorLimits, MotorSheet, NotNegative, Positive, Thermal
 
 Sheet = TypeVar("Sheet", bound=MotorSheet)
-RESISTANCES = 1e-5, 1e3  # ohm
-SLOWEST_WINDING = 1.0  # s; inductance over resistance of real actuators is 0.1 to 20 ms
+RESISTANCE_RANGE = 1e-5, 1e3  # ohm
+MOST_WINDING_TIME = 1.0  # s, inductance over resistance; real actuators have 0.1 to 20 ms
 ROOM_TEMPERATURE = 25.0  # degC
 # largest ratio of two conventions of current: 3/2 of amplitudes and sqrt(3) of lines, 2.6 together
-CONVENTIONS_APART = 3.0
+MOST_CONVENTION_RATIO = 3.0
 
 
 class Motor(MotorSheet):
@@ -136,16 +136,16 @@ def _winding_faults(motor: MotorSheet, document: yamlfile.Document) -> Iterator[
     resistance, inductance = motor.phase_resistance, motor.phase_inductance
     if resistance is None:
         return
-    least, most = RESISTANCES
+    least, most = RESISTANCE_RANGE
     if not least <= resistance <= most:
         yield document.fault(
             ("phase_resistance",), f"{resistance:g} ohm: from {least:g} to {most:g} ohm was expected; is it in ohm?"
         )
-    elif inductance is not None and inductance / resistance > SLOWEST_WINDING:
+    elif inductance is not None and inductance / resistance > MOST_WINDING_TIME:
         yield document.fault(
             ("phase_inductance",),
             f"{inductance:g} H over {resistance:g} ohm is a time constant of {inductance / resistance:.3g} s, at most"
-            f" {SLOWEST_WINDING:g} s was expected; is it in H?",
+            f" {MOST_WINDING_TIME:g} s was expected; is it in H?",
         )
 
 
@@ -163,7 +163,7 @@ def _torque_constant_faults(motor: MotorSheet, document: yamlfile.Document) -> I
     if current is not None and printed.nominal_torque is not None:
         comparable["printed.nominal_torque over continuous_current"] = (printed.nominal_torque / current, "N*m/A")
     for name, (value, unit) in comparable.items():
-        if value is not None and not 1 / CONVENTIONS_APART <= constant / value <= CONVENTIONS_APART:
+        if value is not None and not 1 / MOST_CONVENTION_RATIO <= constant / value <= MOST_CONVENTION_RATIO:
             yield document.fault(
                 ("torque_constant",),
                 f"{constant:g} N*m/A is {constant / value:.3g} times {name}, {value:.3g} {unit}; both are one"

@@ -18,7 +18,7 @@ from leactl.vocabulary.effect import effect_definition, effect_names
 from leactl.yamlblock import Block
 
 Angle = Annotated[float, Field(strict=True, ge=-10.0, le=10.0)]  # rad
-MOST_OFFSET = 20.0  # K, of the logged ambient; a larger one means that it was logged at another place
+MOST_AMBIENT_OFFSET = 20.0  # K, of the logged ambient; a larger one means that it was logged at another place
 
 
 class BenchModel(Block):
@@ -129,7 +129,7 @@ class EffectEntry(Block):
         return self
 
 
-IN_NEWTON_METRES = (
+KEYS_IN_NEWTON_METRES = (
     "phase_resistance",
     "torque_constant",
     "back_emf_constant",
@@ -150,7 +150,7 @@ class Model(MotorSheet):
     reference_temperature: Annotated[float, Field(strict=True, ge=-50, le=150)] = 25.0  # degC
     thermal: Thermal | None = None
     # K, true ambient minus the logged one
-    ambient_offset: Annotated[float, Field(strict=True, ge=-MOST_OFFSET, le=MOST_OFFSET)] = 0.0
+    ambient_offset: Annotated[float, Field(strict=True, ge=-MOST_AMBIENT_OFFSET, le=MOST_AMBIENT_OFFSET)] = 0.0
     bench: BenchModel = BenchModel()
     load: LoadModel = LoadModel()
     drive: DriveModel | None = None
@@ -165,7 +165,7 @@ class Model(MotorSheet):
         """Use kA and kS of a feedforward as inertia and friction, with torques in volts."""
         if self.feedforward is None:
             return self
-        if conflicting_keys := [key for key in IN_NEWTON_METRES if getattr(self, key) is not None]:
+        if conflicting_keys := [key for key in KEYS_IN_NEWTON_METRES if getattr(self, key) is not None]:
             surplus = ", ".join(conflicting_keys)
             text = f"stands beside `feedforward:`, whose torques are told in volts; leave out {surplus}"
             raise self.faulty([((conflicting_keys[0],), text)])

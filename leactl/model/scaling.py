@@ -51,7 +51,7 @@ class ScaledFigure:
         return UNITS[self.name]
 
 
-def scaled(motor: MotorSheet, radius: float, known_radius: float | None = None) -> list[ScaledFigure]:
+def scaled_figures(motor: MotorSheet, radius: float, known_radius: float | None = None) -> list[ScaledFigure]:
     """Return the figures of a known motor, scaled to another air-gap radius [m].
 
     Parameters

@@ -1,7 +1,7 @@
 """Solve the two-node thermal network exactly.
 
-`ThermalNetwork` takes heat that is constant between evenly spaced samples; `driven_at` takes heat that is linear
-between readings at any stamps.
+`ThermalNetwork` takes heat that is constant between evenly spaced samples; `temperatures_and_rates_at` takes heat that
+is linear between readings at any stamps.
 """
 
 from dataclasses import dataclass
@@ -14,8 +14,8 @@ from leactl.model.motor_schema import Thermal
 
 Array = npt.NDArray[np.float64]
 ACTIVE_SHARE = 2.0 / 3.0  # share of a wye winding that two leads feed; the third phase carries no direct current
-DECAY = 200.0  # time constants in one block of a cumulative sum, whose exponentials stay far inside the range of floats
-EVEN = 1e-6  # relative difference up to which steps count as equal
+BLOCK_TIME_CONSTANTS = 200.0  # time constants in one block of a cumulative sum: its exponentials do not overflow
+EVEN_STEP_TOLERANCE = 1e-6  # relative difference up to which steps count as equal
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Drive:
     ambient: Array  # degC, n
 
 
-def driven_at(network: Conductances, drive: Drive, stamps: Array) -> tuple[Array, Array]:
+def temperatures_and_rates_at(network: Conductances, drive: Drive, stamps: Array) -> tuple[Array, Array]:
     """Return temperatures [degC] and their rates [K/s] at stamps [s] within the drive, each of shape (2, stamps).
 
     The winding comes first. Both nodes are at zero at the drive's first stamp.
@@ -111,7 +111,7 @@ def driven_at(network: Conductances, drive: Drive, stamps: Array) -> tuple[Array
         ambient_gain = heat_gain * network.winding_ambient + shapes[1, index] * network.housing_ambient
         ambient_drive = ambient_gain * drive.ambient
         begin, end = heat_gain * drive.begin + ambient_drive[:-1], heat_gain * drive.end + ambient_drive[1:]
-        at_drive_stamps = first_order(rate, drive.time, begin, end)
+        at_drive_stamps = first_order_response(rate, drive.time, begin, end)
         drive_now = begin[interval] + share * (end - begin)[interval]
         modes[index] = at_drive_stamps[interval] * np.exp(rate * elapsed) + first_order_gain(
             rate, elapsed, begin[interval], drive_now
@@ -128,20 +128,20 @@ def remaining_rise(network: Conductances, after: Array) -> Array:
     return np.asarray(np.einsum("nm,mt,ms->nst", shapes, np.exp(np.outer(rates, after)), inverse), np.float64)
 
 
-def first_order(rate: float, time: Array, begin: Array, end: Array) -> Array:
+def first_order_response(rate: float, time: Array, begin: Array, end: Array) -> Array:
     """Solve dm/dt = rate m + f from zero at the first stamp, with f linear from `begin` to `end` in each interval.
 
     `rate` is below zero [1/s], `time` has n stamps [s]; returns the solution at the stamps, shape (n,).
     """
     steps = np.diff(time)
     out = np.zeros(len(time))
-    if np.ptp(steps) < EVEN * steps[0]:
+    if np.ptp(steps) < EVEN_STEP_TOLERANCE * steps[0]:
         step = float(np.mean(steps))
         out[1:] = lfilter([1.0], [1.0, -np.exp(rate * step)], first_order_gain(rate, np.array([step]), begin, end))
         return out
     gains, start = first_order_gain(rate, steps, begin, end), 0
     while start < len(steps):
-        stop = max(start + 1, int(np.searchsorted(time, time[start] - DECAY / rate)) - 1)
+        stop = max(start + 1, int(np.searchsorted(time, time[start] - BLOCK_TIME_CONSTANTS / rate)) - 1)
         if stop == start + 1:
             out[stop] = np.exp(rate * steps[start]) * out[start] + gains[start]
         else:

@@ -13,7 +13,7 @@ from leactl.protocol.plan import (
     EndWhen,
     Search,
     SearchTrial,
-    Sought,
+    SoughtSetpoint,
     StepOutcome,
     When,
 )
@@ -50,7 +50,7 @@ def bisect(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     timeline.foresee(step, 2 * search.trials, search.trials * (content.hold_s + rest_s))
     parameters: dict[str, float | str] = {"role": content.role, "repeat": pass_number}
     ends = search.first, search.second
-    between = Sought(min(ends), max(ends))
+    between = SoughtSetpoint(min(ends), max(ends))
     for number in range(1, search.trials + 1):
         if number == len(ends) + 1:
             timeline.add(step, When(StepOutcome(search.name, BISECTING)))

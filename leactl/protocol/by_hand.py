@@ -13,7 +13,7 @@ from leactl import yamlfile
 from leactl.driver.contract import Mode
 from leactl.errors import InputError
 from leactl.protocol.plan import Plan
-from leactl.protocol.protocolfile import expanded
+from leactl.protocol.protocolfile import expand_document
 from leactl.protocol.setpointkeys import SPELLINGS
 from leactl.protocol.signals import MultisineSignal
 
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 RATE_HZ = 50
-HELD = "held"  # name of the step in which drives turn and apply torque
-SWINGS_HZ = (2.0, 2.4)  # the torque keeps its sign for a quarter of a second: no interlock sees a lasting contradiction
+HOLD_NAME = "held"  # name of the step in which drives turn and apply torque
+SWING_FREQUENCIES_HZ = (2.0, 2.4)  # the torque keeps its sign for 0.25 s: no interlock sees a lasting contradiction
 SWING_S = 2.5  # whole periods of both frequencies: the beat begins and ends at 0 and returns the shaft to its angle
 REST_S = 0.5  # time in which friction stops the shaft before the other drive begins
 TARE_SAMPLES = 100  # 2 s, as in torque-constant
-GENTLE = {Mode.CURRENT: 5.0, Mode.VELOCITY: 10.0, Mode.ANGLE: 0.5}  # A/s, rad/s^2, rad/s: slow enough for a hand
+GENTLE_RATES = {Mode.CURRENT: 5.0, Mode.VELOCITY: 10.0, Mode.ANGLE: 0.5}  # A/s, rad/s^2, rad/s: slow enough for a hand
 
 
 class Jog(NamedTuple):
@@ -63,7 +63,7 @@ class Jog(NamedTuple):
     def steps(self, stands_at: float = 0.0) -> list[str]:
         """Return the protocol's steps; `stands_at` is the present shaft angle [rad], added to an angle setpoint."""
         keys = SPELLINGS[self.mode]
-        rate = f"{keys.rate}: {self.rate or GENTLE[self.mode]!r}"
+        rate = f"{keys.rate}: {self.rate or GENTLE_RATES[self.mode]!r}"
         goal = self.value + (stands_at if self.mode is Mode.ANGLE else 0.0)
         moves = [
             f"ramp: {{role: {self.role}, to_{keys.setpoint}: {goal!r}, {rate}}}",
@@ -119,8 +119,8 @@ def motion_steps(setup: str, roles: Collection[str], velocity: float, current: f
     moves = []
     for role, mode in modes.items():
         keys, goal = SPELLINGS[mode], velocity if mode is Mode.VELOCITY else current
-        moves.append(f"ramp: {{role: {role}, to_{keys.setpoint}: {goal!r}, {keys.rate}: {GENTLE[mode]!r}}}")
-        hold = f"hold: {{name: {HELD}, role: {role}, {keys.setpoint}: {goal!r}, duration_s: {hold_s!r}}}"
+        moves.append(f"ramp: {{role: {role}, to_{keys.setpoint}: {goal!r}, {keys.rate}: {GENTLE_RATES[mode]!r}}}")
+        hold = f"hold: {{name: {HOLD_NAME}, role: {role}, {keys.setpoint}: {goal!r}, duration_s: {hold_s!r}}}"
     engaged = ", ".join(f"{role}: {mode}" for role, mode in modes.items())
     released = ", ".join(f"{role}: off" for role in modes)
     return [f"mode: {{{engaged}}}", *moves, hold, f"mode: {{{released}}}"]
@@ -133,7 +133,7 @@ def swinging_steps(currents: Mapping[str, float], tare: bool) -> list[str]:
     first angle. `currents` has the amplitude of the beat by role [A].
     """
     current = SPELLINGS[Mode.CURRENT].setpoint
-    swing = f"frequencies_Hz: {list(SWINGS_HZ)!r}, duration_s: {SWING_S!r}"
+    swing = f"frequencies_Hz: {list(SWING_FREQUENCIES_HZ)!r}, duration_s: {SWING_S!r}"
     steps = tare_steps() if tare else []
     for role, amplitude in currents.items():
         steps += [
@@ -149,7 +149,7 @@ def swinging_steps(currents: Mapping[str, float], tare: bool) -> list[str]:
 def swing(times: "Array") -> "Array":
     """Return the beat of `swinging_steps` divided by its amplitude, shape (n,), at times (n,) of control cycles [s]."""
     signal = MultisineSignal(
-        kind="multisine", role="test", frequencies_Hz=SWINGS_HZ, amplitude_A=1.0, duration_s=SWING_S
+        kind="multisine", role="test", frequencies_Hz=SWING_FREQUENCIES_HZ, amplitude_A=1.0, duration_s=SWING_S
     )
     return signal.around(times, SPELLINGS[Mode.CURRENT])
 
@@ -163,4 +163,4 @@ def plan_of(name: str, setup: str, steps: Sequence[str]) -> Plan:
     """
     head = f"name: {name}\ntitle: By hand\nsetup: {setup}\nrate_Hz: {RATE_HZ}\nsteps:\n"
     text = head + "".join(f"  - {step}\n" for step in steps)
-    return expanded(yamlfile.parse(text, name), Path(), {}, "")
+    return expand_document(yamlfile.parse(text, name), Path(), {}, "")

@@ -2,7 +2,7 @@
 
 import math
 
-from leactl.protocol.plan import LEAST_SAMPLES, Until
+from leactl.protocol.plan import FEWEST_WINDOW_SAMPLES, Until
 from leactl.protocol.steps import CriterionBlock, ProtocolStep, WaitStep, WhenStep
 from leactl.protocol.timeline import Timeline
 from leactl.quantities import UNITS
@@ -25,9 +25,9 @@ def criterion(
     if times[1] + block.window_s > times[0]:
         message = f"settle_s and a window of {block.window_s:g} s are longer than {keys[1]}; less was expected"
         timeline.complain(step, where, message)
-    least = LEAST_SAMPLES / timeline.rate_hz
+    least = FEWEST_WINDOW_SAMPLES / timeline.rate_hz
     if block.window_s < least * (1 - 1e-9):
-        message = f"{block.window_s:g} s: at least {LEAST_SAMPLES} cycles ({least:g} s) were expected"
+        message = f"{block.window_s:g} s: at least {FEWEST_WINDOW_SAMPLES} cycles ({least:g} s) were expected"
         timeline.complain(step, where, message)
     return Until(block.quantity, block.role, block.statistic, block.window_s, low, high, required)
 

@@ -8,7 +8,7 @@ from leactl.protocol.timeline import Timeline
 STANDARD_GRAVITY = 9.80665  # m/s^2 (CGPM 1901); local gravity is left to the analysis
 
 
-def order_of(masses: tuple[float, ...]) -> list[tuple[float, str]]:
+def weighing_order(masses: tuple[float, ...]) -> list[tuple[float, str]]:
     """Return masses [kg] with directions: 0 and all masses rising, then all but the largest falling, and 0."""
     rising = sorted(masses)
     falling = [(mass, "falling") for mass in reversed([0.0, *rising[:-1]])]
@@ -22,7 +22,7 @@ def weigh(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     engaged = [role for role, followed in timeline.roles.items() if followed.mode is not Mode.OFF]
     if engaged and timeline.modes_known:
         timeline.complain(step, (), f"{' and '.join(engaged)} engaged while a person is at the shaft; off was expected")
-    order = order_of(content.masses_kg)
+    order = weighing_order(content.masses_kg)
     timeline.foresee(step, content.repeats * 2 * len(order), content.repeats * len(order) * content.hold_s)
     side = "positive" if content.sign > 0 else "negative"
     for number in range(1, content.repeats + 1):

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 NAME = re.compile(r"[a-z][A-Za-z0-9_]*\Z")
 REFERENCE = re.compile(r"\$([a-z][A-Za-z0-9_]*)\Z")
 LITERAL_KEYS = ("name", "parameters", "conditions")  # keys of the file whose values keep `$name` as it is
-UNKNOWN = "is no parameter"
-EXPECTED = "a finite number, a text that is no $name, or a list of one of these was expected"
+UNKNOWN_TEXT = "is no parameter"
+EXPECTED_VALUES = "a finite number, a text that is no $name, or a list of one of these was expected"
 
 
 @dataclass
@@ -67,7 +67,7 @@ class Substituted(Document):
 
     def explain(self, error: "ValidationError", under: Location = ()) -> list[str]:
         """Return the faults of a model, without those of a `$name` that is already reported as unknown."""
-        return [line for line in super().explain(error, under) if not line.endswith(f"{UNKNOWN})")]
+        return [line for line in super().explain(error, under) if not line.endswith(f"{UNKNOWN_TEXT})")]
 
 
 def resolve(document: Document, overrides: Mapping[str, str], condition: str, faults: list[str]) -> Resolved | None:
@@ -90,7 +90,7 @@ def resolve(document: Document, overrides: Mapping[str, str], condition: str, fa
                 document.fault(("parameters", name), "a name of a letter a-z, then letters, digits, _ was expected")
             )
         elif _kind(value) is None:
-            faults.append(document.fault(("parameters", name), f"{shown(value)}: {EXPECTED}"))
+            faults.append(document.fault(("parameters", name), f"{shown(value)}: {EXPECTED_VALUES}"))
         resolved.take(name, value, f"line {document.places['parameters', name][0]}")
     known = dict(resolved.values)
     if not isinstance(conditions, Mapping | None):
@@ -174,7 +174,7 @@ def substitute(document: Document, resolved: Resolved | None, faults: list[str])
         if name not in resolved.values:
             known = ", ".join(f"${known}" for known in resolved.values) or "none"
             faults.append(document.fault(keys, f"{value}: no such parameter; known: {known}"))
-            result.put_in(keys, f"{value} {UNKNOWN}", changed=False)
+            result.put_in(keys, f"{value} {UNKNOWN_TEXT}", changed=False)
             return value
         result.put_in(keys, f"{value} from {resolved.origins[name]}", resolved.changed(name))
         return resolved.values[name]

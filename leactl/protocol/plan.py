@@ -25,7 +25,7 @@ SETPOINT_QUANTITY = {
 }
 
 
-LEAST_SAMPLES = 3  # in the window of a criterion: two samples always lie on a line, without deviation
+FEWEST_WINDOW_SAMPLES = 3  # in the window of a criterion: two samples always lie on a line, without deviation
 
 
 class SetpointProfile(Protocol):
@@ -132,7 +132,7 @@ class Samples:
 
 
 @dataclass(frozen=True)
-class Sought:
+class SoughtSetpoint:
     """A constant setpoint between two ends, which a search chooses while the plan is executed."""
 
     low: float
@@ -205,7 +205,8 @@ class Segment:
     """Setpoints over a duration, which is 0 for a jump; analyses leave out the first `settle_s`.
 
     With `until`, the duration is the longest possible one, and setpoints are constant, so that they are the same
-    whenever the segment ends. A trial has a criterion; a setpoint that its search has not chosen yet is `Sought`.
+    whenever the segment ends. A trial has a criterion; a setpoint that its search has not chosen yet is
+    `SoughtSetpoint`.
     """
 
     name: str

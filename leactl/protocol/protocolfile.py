@@ -86,10 +86,10 @@ def load(name_or_path: str, overrides: Mapping[str, str] = NO_OVERRIDES, conditi
     InputError : no such protocol, or all its faults with file, line and column.
     """
     path = locate(name_or_path)
-    return expanded(yamlfile.load(path), path.parent, overrides, condition)
+    return expand_document(yamlfile.load(path), path.parent, overrides, condition)
 
 
-def expanded(document: yamlfile.Document, folder: Path, overrides: Mapping[str, str], condition: str) -> Plan:
+def expand_document(document: yamlfile.Document, folder: Path, overrides: Mapping[str, str], condition: str) -> Plan:
     """Check and expand a loaded protocol; relative paths of CSV files refer to `folder`.
 
     Raises

@@ -16,7 +16,7 @@ from leactl import yamlfile
 DURATIONS = "durations.json"
 
 
-class Listed(NamedTuple):
+class ListedProtocol(NamedTuple):
     """Entry of a protocol in the list."""
 
     name: str
@@ -35,7 +35,7 @@ def names() -> list[str]:
     return sorted(path.stem for path in folder().glob("*.yaml"))
 
 
-def listed() -> list[Listed]:
+def listed_protocols() -> list[ListedProtocol]:
     """Return the entry of every shipped protocol, sorted by name.
 
     Raises
@@ -52,18 +52,18 @@ def durations() -> dict[str, dict[str, str | float]]:
     return {path.stem: {"sha256": _digest(path), "duration_s": _expanded(path).duration_s} for path in paths}
 
 
-def _listed(path: Path, known: dict[str, str | float]) -> Listed:
+def _listed(path: Path, known: dict[str, str | float]) -> ListedProtocol:
     if known.get("sha256") != _digest(path):
         return _expanded(path)
     head = yamlfile.load(path).data
-    return Listed(head["name"], head["title"], head["setup"], float(known["duration_s"]))
+    return ListedProtocol(head["name"], head["title"], head["setup"], float(known["duration_s"]))
 
 
-def _expanded(path: Path) -> Listed:
+def _expanded(path: Path) -> ListedProtocol:
     from leactl.protocol.protocolfile import load
 
     plan = load(str(path))
-    return Listed(plan.name, plan.title, plan.setup, plan.duration_s)
+    return ListedProtocol(plan.name, plan.title, plan.setup, plan.duration_s)
 
 
 def _known_durations() -> dict[str, dict[str, str | float]]:

@@ -4,7 +4,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from leactl.protocol.plan import LEAST_SAMPLES, Until
+from leactl.protocol.plan import FEWEST_WINDOW_SAMPLES, Until
 
 WINDOW_PARTS = 10  # the statistic is judged at the end of each part
 
@@ -45,7 +45,7 @@ class Moments(NamedTuple):
         ----------
         name : `mean`, `std` or `slope`.
         """
-        if self.samples < LEAST_SAMPLES:
+        if self.samples < FEWEST_WINDOW_SAMPLES:
             return math.nan
         if name == "mean":
             return self.value
@@ -57,7 +57,7 @@ class Moments(NamedTuple):
 class Judge:
     """Judges the samples of one channel, from a start time on, by one criterion.
 
-    A window with a missing sample, or with fewer than `LEAST_SAMPLES` samples, does not meet the criterion.
+    A window with a missing sample, or with fewer than `FEWEST_WINDOW_SAMPLES` samples, does not meet the criterion.
     """
 
     def __init__(self, until: Until, start: float) -> None:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.errors import InputError
-from leactl.model.cycle import POINTS, _residual_and_notes, _series, read_cycle
+from leactl.model.cycle import POINTS_PER_CYCLE, _residual_and_notes, _series, read_cycle
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def written(tmp_path):
 @pytest.mark.parametrize("closed", [True, False])
 def test_derivatives_are_those_of_the_motion(written, closed):
     cycle = read_cycle(written(closed=closed), stride_time=1.25)
-    part, rate = 2.0 * np.pi * np.arange(POINTS) / POINTS, 2.0 * np.pi / 1.25
+    part, rate = 2.0 * np.pi * np.arange(POINTS_PER_CYCLE) / POINTS_PER_CYCLE, 2.0 * np.pi / 1.25
     np.testing.assert_allclose(cycle.angle, np.radians(20.0 * np.sin(part) + 5.0 * np.cos(2 * part)), atol=1e-7)
     velocity = np.radians(20.0 * np.cos(part) - 10.0 * np.sin(2 * part)) * rate
     acceleration = np.radians(-20.0 * np.sin(part) - 20.0 * np.cos(2 * part)) * rate**2

@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leactl.errors import InputError
-from leactl.model.cycle import POINTS, Cycle
+from leactl.model.cycle import POINTS_PER_CYCLE, Cycle
 from leactl.model.energy import DriveSupply, best_ratio, remarks, stride
 from leactl.model.motor import load_sheet
 from leactl.model.winding import FRAMES
 
 LEA, U8, MAXON = (load_sheet(name)[0] for name in ("lea", "u8-kv100", "ec-4pole-30"))
-PART = 2.0 * np.pi * np.arange(POINTS) / POINTS
+PART = 2.0 * np.pi * np.arange(POINTS_PER_CYCLE) / POINTS_PER_CYCLE
 
 
 def swing(amplitude=0.4, torque=50.0, phase=0.7, period=1.1, mean=0.0):
@@ -90,7 +90,7 @@ def test_points_beyond_a_ceiling_are_counted_and_the_first_is_told():
     needed = stride(LEA, swing(phase=-math.pi / 2.0), 5.0, supply=DriveSupply(500.0)).peak_line_current
     assert needed > 10.0
     assert 0.0 < by_current.first_beyond_percent < 25.0
-    assert 0 < by_current.over_current < POINTS
+    assert 0 < by_current.over_current < POINTS_PER_CYCLE
 
 
 def test_a_winding_that_runs_away_is_too_hot():
@@ -107,7 +107,16 @@ def test_where_nothing_is_feasible_the_least_bad_is_given():
 
 
 def test_a_held_joint_is_held_by_friction_as_far_as_that_goes():
-    held = Cycle("held", 1.0, np.zeros(POINTS), np.zeros(POINTS), np.zeros(POINTS), np.full(POINTS, 10.0), 1, 0.0)
+    held = Cycle(
+        "held",
+        1.0,
+        np.zeros(POINTS_PER_CYCLE),
+        np.zeros(POINTS_PER_CYCLE),
+        np.zeros(POINTS_PER_CYCLE),
+        np.full(POINTS_PER_CYCLE, 10.0),
+        1,
+        0.0,
+    )
     found = stride(LEA, held, 10.0)
     left = 10.0 / 10.0 - LEA.coulomb_friction
     rise = found.winding_temperature - 25.0

@@ -6,7 +6,7 @@ import pytest
 
 from leactl.errors import InputError
 from leactl.model.motor import load_sheet
-from leactl.model.scaling import scaled
+from leactl.model.scaling import scaled_figures
 
 LEA, U8 = load_sheet("lea")[0], load_sheet("u8-kv100")[0]
 SLOT_WIDTH, THICKNESS, DENSITY = 2e-3, 12e-3, 5000.0
@@ -33,14 +33,14 @@ def test_each_figure_goes_by_its_power_of_the_radius():
             "body": U8.body.model_copy(update={"mass": small["mass"]}),
         }
     )
-    found = {one.name: one.scaled for one in scaled(known, 0.0825, 0.04)}
+    found = {one.name: one.scaled for one in scaled_figures(known, 0.0825, 0.04)}
     for name, value in large.items():
         assert found[name] == pytest.approx(value), name
 
 
 def test_the_lea_comes_out_near_its_own_figures_when_frames_agree():
     """Mid radii of the printed diameters: the U8's torque between the leads scales to 93 % of what the LEA has."""
-    found = {one.name: one for one in scaled(U8, 0.0825, (0.085 + 0.054) / 4.0)}
+    found = {one.name: one for one in scaled_figures(U8, 0.0825, (0.085 + 0.054) / 4.0)}
     ours = math.sqrt(1.5) * LEA.torque_constant
     assert found["torque_per_line_ampere"].scaled / ours == pytest.approx(0.93, abs=0.01)
     assert found["motor_constant"].scaled / 0.95 == pytest.approx(1.02, abs=0.01)
@@ -48,7 +48,9 @@ def test_the_lea_comes_out_near_its_own_figures_when_frames_agree():
 
 
 def test_what_is_not_known_is_not_scaled():
-    found = {one.name: one.scaled for one in scaled(LEA.model_copy(update={"continuous_current": None}), 0.1, 0.08)}
+    found = {
+        one.name: one.scaled for one in scaled_figures(LEA.model_copy(update={"continuous_current": None}), 0.1, 0.08)
+    }
     assert found["continuous_torque"] is None
     assert found["torque_density"] is None
 
@@ -64,4 +66,4 @@ def test_what_is_not_known_is_not_scaled():
 )
 def test_a_radius_that_is_missing_or_none_is_refused(radius, known, message):
     with pytest.raises(InputError, match=message):
-        scaled(U8, radius, known)
+        scaled_figures(U8, radius, known)

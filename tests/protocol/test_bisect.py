@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from leactl.cli.main import app
 from leactl.errors import InputError
-from leactl.protocol.plan import EndWhen, Sought, When
+from leactl.protocol.plan import EndWhen, SoughtSetpoint, When
 from tests.protocol.writing import plan, segments, text
 
 CRITERION = "{quantity: velocity, role: test, window_s: 0.2, above: 1, unit: rad/s}"
@@ -38,7 +38,7 @@ def test_every_trial_is_planned_within_the_ends_and_they_suffice_for_the_resolut
     trials = [segment for segment in segments(found) if segment.trial]
     low, high = min(first, second), max(first, second)
     assert [trial.setpoints["test"].at(0.0) for trial in trials[:2]] == [first, second]
-    assert all(trial.setpoints["test"] == Sought(low, high) for trial in trials[2:])
+    assert all(trial.setpoints["test"] == SoughtSetpoint(low, high) for trial in trials[2:])
     assert [trial.trial.number for trial in trials] == list(range(1, len(trials) + 1))
     halvings = len(trials) - 2
     assert span / 2**halvings <= part * span * (1 + 1e-6)

@@ -11,7 +11,7 @@ from leactl.driver.contract import Mode
 from leactl.errors import InputError
 from leactl.protocol.by_hand import Jog, motion_steps, plan_of, reading_steps, tare_steps
 from leactl.protocol.plan import SETPOINT_QUANTITY, Engage, Tare
-from leactl.protocol.protocolfile import expanded
+from leactl.protocol.protocolfile import expand_document
 from tests.protocol.writing import segments
 
 amounts = st.floats(-1e3, 1e3)
@@ -50,7 +50,7 @@ def test_a_jog_reaches_its_setpoint_at_its_rate_and_leaves_the_drive_off(jog, st
 @given(motions)
 def test_the_text_in_the_run_file_is_a_protocol_that_runs_the_same(jog):
     plan = plan_of("jog", "coupled", jog.steps())
-    assert expanded(yamlfile.parse(plan.text), None, {}, "").actions == plan.actions
+    assert expand_document(yamlfile.parse(plan.text), None, {}, "").actions == plan.actions
 
 
 def test_reading_and_zeroing_engage_no_drive():

@@ -24,7 +24,7 @@ def test_the_durations_beside_the_protocols_are_those_of_their_expansion():
 
 def test_a_list_shows_what_the_plans_have():
     plans = [protocolfile.load(name) for name in shipped.names()]
-    assert [tuple(listed) for listed in shipped.listed()] == [
+    assert [tuple(listed) for listed in shipped.listed_protocols()] == [
         (plan.name, plan.title, plan.setup, plan.duration_s) for plan in plans
     ]
 
@@ -42,13 +42,13 @@ def test_a_protocol_that_was_changed_or_came_is_expanded(copied):
     assert longer != text
     (copied / "torque-constant.yaml").write_text(longer, "utf-8")
     (copied / "another.yaml").write_text(text.replace("name: torque-constant", "name: another"), "utf-8")
-    rows = {row.name: row for row in shipped.listed()}
+    rows = {row.name: row for row in shipped.listed_protocols()}
     assert rows["torque-constant"].title.startswith("Longer, ")
     assert rows["torque-constant"].duration_s == protocolfile.load("torque-constant").duration_s
     assert rows["another"].duration_s < rows["torque-constant"].duration_s
 
 
 def test_a_list_does_without_the_durations(copied):
-    expected = shipped.listed()
+    expected = shipped.listed_protocols()
     (copied / shipped.DURATIONS).unlink()
-    assert shipped.listed() == expected
+    assert shipped.listed_protocols() == expected

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from leactl import yamlfile
 from leactl.errors import InputError
 from leactl.protocol.plan import Plan, Ramp, Samples, Segment
-from leactl.protocol.protocolfile import expanded
+from leactl.protocol.protocolfile import expand_document
 from leactl.protocol.signals import SIGNALS
 from leactl.protocol.steps import KINDS
 from tests.protocol.writing import plan, read, segments, text
@@ -209,7 +209,7 @@ def test_whatever_stands_in_a_file_is_a_plan_or_an_input_error(steps, parameters
     head = {"name": "a", "setup": "free", "rate_Hz": 50, "parameters": parameters, "conditions": conditions}
     source = pyyaml.safe_dump({**head, "steps": [{"mode": {"test": "current", "load": "angle"}}, *steps]})
     try:
-        found = expanded(yamlfile.parse(source, "a.yaml"), Path("/nowhere"), overrides, "hot")
+        found = expand_document(yamlfile.parse(source, "a.yaml"), Path("/nowhere"), overrides, "hot")
     except InputError as error:
         assert error.faults
         assert all(len(fault.splitlines()) == 1 for fault in error.faults)

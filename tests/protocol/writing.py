@@ -4,7 +4,7 @@ from pathlib import Path
 
 from leactl import yamlfile
 from leactl.protocol.plan import Segment
-from leactl.protocol.protocolfile import expanded
+from leactl.protocol.protocolfile import expand_document
 
 HEAD_LINES = 8
 
@@ -26,7 +26,7 @@ def text(*steps, rate_Hz=100, parameters="{}", conditions="{}", more="", mode="{
 
 def read(source, folder=Path(), condition="", **overrides):
     """The plan of a protocol's text."""
-    return expanded(yamlfile.parse(source, "trial.yaml"), folder, overrides, condition)
+    return expand_document(yamlfile.parse(source, "trial.yaml"), folder, overrides, condition)
 
 
 def plan(*steps, folder=Path(), condition="", overrides=None, **head):

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from leactl.cli.main import app
 from leactl.protocol import protocolfile
-from leactl.protocol.plan import Search, SearchLimit, SearchTrial, Segment, Sought, Until
+from leactl.protocol.plan import Search, SearchLimit, SearchTrial, Segment, SoughtSetpoint, Until
 from leactl.runfile.read.bisections import searches
 from leactl.runfile.read.reader import Run
 from leactl.runner.step_outcomes import Bisection, Outcomes
@@ -85,11 +85,11 @@ def test_ends_that_agree_say_so():
 def test_no_setpoint_beyond_what_was_planned_is_chosen():
     wanted = Search("s", "test", "q_axis_current_reference", 0.0, 9.0, 1.0, required=False)
     until = Until("velocity", "test", "mean", 0.1, 1.0, math.inf, required=False)
-    planned = Segment("s", 1.0, 0.0, {"test": Sought(0.0, 1.0)}, {}, until, SearchTrial(wanted, 1))
+    planned = Segment("s", 1.0, 0.0, {"test": SoughtSetpoint(0.0, 1.0)}, {}, until, SearchTrial(wanted, 1))
     outcomes = Outcomes()
     outcomes.take(outcomes.chosen(planned), False)
     with pytest.raises(AssertionError, match="9 is not between 0 and 1"):
-        outcomes.chosen(Segment("s", 1.0, 0.0, {"test": Sought(0.0, 1.0)}, {}, until, SearchTrial(wanted, 2)))
+        outcomes.chosen(Segment("s", 1.0, 0.0, {"test": SoughtSetpoint(0.0, 1.0)}, {}, until, SearchTrial(wanted, 2)))
 
 
 @pytest.mark.parametrize(

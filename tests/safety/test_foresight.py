@@ -19,7 +19,7 @@ from leactl.protocol.plan import (
     Ramp,
     Samples,
     Segment,
-    Sought,
+    SoughtSetpoint,
     StepOutcome,
     Until,
     When,
@@ -435,7 +435,9 @@ def course_of(plan, currents, done):
         elif isinstance(action, EndWhen):
             out -= 1 if out else 0
         elif not out:
-            sought = [profile for profile in getattr(action, "setpoints", {}).values() if isinstance(profile, Sought)]
+            sought = [
+                profile for profile in getattr(action, "setpoints", {}).values() if isinstance(profile, SoughtSetpoint)
+            ]
             changed = {"test": Constant(next(chosen))} if sought else None
             kept.append(replace(action, setpoints=changed) if changed else action)
     return replace(plan, actions=tuple(kept))
@@ -450,7 +452,7 @@ def course_of(plan, currents, done):
 )
 def test_every_course_of_a_search_stays_below_the_forecast_of_the_plan(ends, shares, done, mode):
     low, high = sorted(ends)
-    trial = Segment("search", 3.0, 0.0, {"test": Sought(low, high)}, {})
+    trial = Segment("search", 3.0, 0.0, {"test": SoughtSetpoint(low, high)}, {})
     trials = [trial, held(0.5, "rest", test=0.0)]
     plan = made(
         Engage({"test": Mode.CURRENT, "load": mode}),
@@ -476,7 +478,7 @@ def test_every_course_of_a_search_stays_below_the_forecast_of_the_plan(ends, sha
 @pytest.mark.parametrize("ends", [(0.0, 12.0), (-12.0, 1.0), (-12.0, 12.0)])
 def test_a_trial_heats_as_the_end_that_is_further_from_zero(ends):
     at_an_end = foresight().forecast(made(CURRENT, held(5.0, test=12.0))).peaks["test"]
-    sought = Segment("search", 5.0, 0.0, {"test": Sought(*ends)}, {})
+    sought = Segment("search", 5.0, 0.0, {"test": SoughtSetpoint(*ends)}, {})
     assert foresight().forecast(made(CURRENT, sought)).peaks["test"] == pytest.approx(at_an_end)
 
 
@@ -491,7 +493,7 @@ def test_a_drive_that_holds_against_a_search_takes_what_either_end_asks(away):
         return foresight().forecast(made(*before, tried, held(5.0, test=0.0), setup="coupled")).peaks["load"]
 
     ends = [load(Constant(-8.0)), load(Constant(7.0))]
-    assert load(Sought(-8.0, 7.0)) >= max(ends) - 1e-9
+    assert load(SoughtSetpoint(-8.0, 7.0)) >= max(ends) - 1e-9
 
 
 def test_a_rest_that_may_be_left_out_is_no_rest_to_rely_on():

@@ -15,7 +15,7 @@ import numpy as np
 from leactl.analysis.heating.first_guess import covered, guesses, starting_lag, thinned
 from leactl.analysis.heating.record import Array, HeatingRecord
 from leactl.errors import NotIdentifiable
-from leactl.model.thermal_network import Conductances, Drive, driven_at, remaining_rise
+from leactl.model.thermal_network import Conductances, Drive, remaining_rise, temperatures_and_rates_at
 
 NETWORK = 5  # unknowns that all records share
 STEP = 1e-4  # of central differences: their error is its square
@@ -203,7 +203,7 @@ def _forced_response(
     record: HeatingRecord, unknowns: Unknowns, network: Conductances, record_unknowns: dict[str, float]
 ) -> tuple[Array, Array]:
     """Return the temperatures that heat and ambient cause at the frames, and their rates, shape (2, frames) each."""
-    return driven_at(network, drive_of(record), _stamps(record, unknowns, record_unknowns))
+    return temperatures_and_rates_at(network, drive_of(record), _stamps(record, unknowns, record_unknowns))
 
 
 def _decay_of_start(

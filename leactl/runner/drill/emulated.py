@@ -152,7 +152,7 @@ class EmulatedDrill:
         fault_time = 0.0
         if not faults:
             with Run.open(rehearsed.outcome.path) as run:
-                held = next(step for step in run.steps if step.name == by_hand.HELD)
+                held = next(step for step in run.steps if step.name == by_hand.HOLD_NAME)
             # half a cycle later, so that it is clear which cycle is the first that can notice the fault
             fault_time = round(rehearsed.power_watch.run_start + held.start + HELD_BEFORE_S + 0.5 * CYCLE_S, 6)
         return self._finding(NO_FAULT, "", {}, "nothing", None, rehearsed, None, faults), fault_time

@@ -22,7 +22,7 @@ from leactl.protocol.plan import (
     Segment,
     SetpointProfile,
     SetSupply,
-    Sought,
+    SoughtSetpoint,
     Tare,
 )
 from leactl.safety.limits import LEADS
@@ -47,12 +47,14 @@ class PlanState:
     @property
     def constant(self) -> bool:
         """Whether no setpoint changes during the action; one that is still sought counts as constant."""
-        return all(isinstance(profile, Sought) or profile.low == profile.high for profile in self.setpoints.values())
+        return all(
+            isinstance(profile, SoughtSetpoint) or profile.low == profile.high for profile in self.setpoints.values()
+        )
 
     @property
     def ends(self) -> "list[PlanState]":
         """The state at each combination of ends of the setpoints that are still sought; itself where none is."""
-        sought = {role: profile for role, profile in self.setpoints.items() if isinstance(profile, Sought)}
+        sought = {role: profile for role, profile in self.setpoints.items() if isinstance(profile, SoughtSetpoint)}
         if not sought:
             return [self]
         chosen = itertools.product(*((Constant(profile.low), Constant(profile.high)) for profile in sought.values()))
@@ -94,7 +96,7 @@ def states(plan: Plan) -> Iterator[PlanState]:
         )
         if isinstance(action, Segment):
             setpoints |= {
-                role: profile if isinstance(profile, Sought) else Constant(profile.at(action.duration_s))
+                role: profile if isinstance(profile, SoughtSetpoint) else Constant(profile.at(action.duration_s))
                 for role, profile in action.setpoints.items()
             }
 
