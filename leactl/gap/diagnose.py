@@ -497,7 +497,7 @@ def refit_causes(evidence: Evidence, result: EffectSet, causes: Sequence[Cause])
 def fit_with_further_steps(
     evidence: Evidence, hypothesis: Sequence[Candidate]
 ) -> tuple[dict[str, tuple[EffectParameter, ...]], tuple[CalibratedParameter, ...]]:
-    """Return the parameters of each effect by name, and the calibration, after `FURTHER_STEPS` further Gauss-Newton steps.
+    """Return the parameters of each effect by name, and the calibration, after `FURTHER_STEPS` Gauss-Newton steps.
 
     Each step rebuilds the columns from the calibrated parameters. With a camera that reads two thirds of a rise, heat
     flows are 4 % off after the first fit; with an inertia 15 % off, so is an eccentricity.

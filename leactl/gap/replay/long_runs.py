@@ -218,7 +218,7 @@ def slow_record(run: Run) -> Record | None:
 
 
 def read_means(run: Run, stream: str, spec: ChannelSpec) -> Channel:
-    """Read a channel as means over equal numbers of samples, at most `MOST_SLOW_ROWS` of them, stamped in their middle."""
+    """Read a channel as at most `MOST_SLOW_ROWS` means over equal numbers of samples, stamped in their middle."""
     rows = run.rows[stream]
     width = -(-rows // MOST_SLOW_ROWS)
     if width <= 1:

@@ -93,7 +93,7 @@ class Null:
     kept: tuple[str, ...]  # those of them that no fit may move
 
     def bias(self, parameter: str) -> float:
-        """Return the mean relative change of a parameter in fits to sound machines; zero if it is above `MOST_CORRECTED_BIAS`."""
+        """Return the mean relative change of a parameter in sound machines; zero above `MOST_CORRECTED_BIAS`."""
         bias = self.moved.get(parameter, (0.0, 0.0))[0]
         return bias if abs(bias) <= MOST_CORRECTED_BIAS else 0.0
 

@@ -363,7 +363,7 @@ class CandidateTest:
         self._reductions = {name: self._reduction_by(fit, hypothesis, k) for k, (name, _) in enumerate(hypothesis)}
 
     def exceeds_form_error(self, candidate: Candidate) -> bool:
-        """Return whether a candidate lowers the misfit by `ENTRY_HEIGHT` squared more than errors of the set's forms could.
+        """Return whether a candidate lowers the misfit by `ENTRY_HEIGHT` squared beyond the errors of the set's forms.
 
         In each equation a change of either sign up to the allowance counts as none; the cost of the parameters' priors
         counts in full.

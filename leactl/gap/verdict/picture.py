@@ -262,7 +262,7 @@ def is_column_of(name: Sequence[str], candidate: Candidate) -> bool:
 
 
 def acting_rows(effect: Array, groups: Groups) -> npt.NDArray[np.bool_]:
-    """Return the mask of the rows in the stretches that hold nearly all (`DRAWN_POWER_SHARE`) of the squares of an effect."""
+    """Return the mask of the rows in the stretches that hold `DRAWN_POWER_SHARE` of the squares of an effect."""
     power = np.bincount(groups, weights=effect**2)
     order = np.argsort(-power, kind="stable")
     needed = int(np.searchsorted(np.cumsum(power[order]), DRAWN_POWER_SHARE * float(power.sum()))) + 1
