@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from leactl.gap.blind.score import MEDIAN_WITHIN, MOST_WITHIN, Calibration, Group, Score, Share
+from leactl.gap.blind.score import MOST_MEDIAN_DISTANCE, MOST_USUAL_DISTANCE, Calibration, Group, Score, Share
 
 FORMAT, VERSION = "leactl-gap-score", 1
 # targets of the figures that are no shares
@@ -73,7 +73,7 @@ def markdown(score: Score, command: str) -> str:
         lines.append(f"| one effect: mean size of the reported set | {set_size_target} | {score.set_size:.2f} | | |")
     if score.behind_oracle is not None:
         median, quantile_90 = score.behind_oracle
-        distances = f"{MEDIAN_WITHIN:g} / {MOST_WITHIN:g} | {median:.3f} / {quantile_90:.3f}"
+        distances = f"{MOST_MEDIAN_DISTANCE:g} / {MOST_USUAL_DISTANCE:g} | {median:.3f} / {quantile_90:.3f}"
         lines.append(f"| distance from the oracle: median / 90 % | {distances} | | |")
     for title, calibration in (("all cases", score.calibration), ("cases with a cause", score.calibration_of_named)):
         skill = "-" if calibration.skill is None else f"{calibration.skill:.3f}"
