@@ -180,14 +180,14 @@ def preload_of(
     as_json: bool = AS_JSON,
 ) -> None:
     """Work out the preload of bearings on flexures from their deflection, and whether the bearings take it."""
-    from leactl.model.flexures import bearings_of, disagreement, most_gap, preload, readings
+    from leactl.model.flexures import bearings_of, disagreement, largest_gap, preload, readings
     from leactl.model.motor import load_sheet
     from leactl.report.motor_design import preload_json, preload_text
 
     bearings = bearings_of(load_sheet(motor)[0])
     gap_readings = readings(bearings, rest_gap / 1e3)
     table = [
-        (reading, [preload(bearings, reading, mm / 1e3) for mm in gap], most_gap(bearings, reading))
+        (reading, [preload(bearings, reading, mm / 1e3) for mm in gap], largest_gap(bearings, reading))
         for reading in gap_readings
     ]
     misses = disagreement(bearings, gap_readings)

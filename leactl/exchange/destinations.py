@@ -81,11 +81,11 @@ def destinations(model: Model, law: str | None) -> Iterator[Destination]:
         if springs == [entry] and "reach" not in entry.parameters:
             yield Destination(entry, MJCF, "")
         else:
-            reason = _why_not(entry.effect, model, law)
+            reason = _reason_against(entry.effect, model, law)
             yield Destination(entry, NOWHERE if reason else CALLBACKS, reason)
 
 
-def _why_not(effect: str, model: Model, law: str | None) -> str:
+def _reason_against(effect: str, model: Model, law: str | None) -> str:
     """Return the reason why callbacks cannot hold an effect; empty if they can."""
     where = ACTS_ON.get(effect)
     if where is None:

@@ -98,7 +98,7 @@ def preload(bearings: Bearings, reading: Reading, gap: float) -> Preload:
     return Preload(gap, deflection, force, bearings.each_side * force, force / bearings.static_radial_load)
 
 
-def most_gap(bearings: Bearings, reading: Reading) -> float:
+def largest_gap(bearings: Bearings, reading: Reading) -> float:
     """Return the gap at which a bearing carries its static load [m]."""
     return reading.rest_gap + bearings.static_radial_load / reading.stiffness
 

@@ -3,7 +3,7 @@
 import pytest
 
 from leactl.errors import InputError
-from leactl.model.flexures import bearings_of, disagreement, most_gap, preload, readings
+from leactl.model.flexures import bearings_of, disagreement, largest_gap, preload, readings
 from leactl.model.motor import load_sheet
 
 BEARINGS = bearings_of(load_sheet("lea")[0])
@@ -28,9 +28,9 @@ def test_a_flexure_at_rest_carries_nothing():
 
 def test_the_static_load_is_where_it_is_told_to_be():
     for reading in readings(BEARINGS, 0.5e-3):
-        at_most = preload(BEARINGS, reading, most_gap(BEARINGS, reading))
+        at_most = preload(BEARINGS, reading, largest_gap(BEARINGS, reading))
         assert at_most.force == pytest.approx(300.0)
-        assert not preload(BEARINGS, reading, most_gap(BEARINGS, reading) * 1.01).holds
+        assert not preload(BEARINGS, reading, largest_gap(BEARINGS, reading) * 1.01).holds
 
 
 def test_how_far_the_readings_are_off():

@@ -28,22 +28,22 @@ class Demonstration:
     @property
     def cause(self) -> Cause | None:
         """The planted effect among the named causes; None where it is not named."""
-        return next((cause for cause in named(self.answer) if cause.effect == self.planted), None)
+        return next((cause for cause in named_causes(self.answer) if cause.effect == self.planted), None)
 
     @property
     def outcome(self) -> Outcome:
         """Whether the planted effect is the one that is named."""
         if self.cause is None:
             return "missed"
-        return "named" if len(named(self.answer)) == 1 else "named with others"
+        return "named" if len(named_causes(self.answer)) == 1 else "named with others"
 
     @property
     def others(self) -> tuple[Cause, ...]:
         """Named causes beside the planted one."""
-        return tuple(cause for cause in named(self.answer) if cause.effect != self.planted)
+        return tuple(cause for cause in named_causes(self.answer) if cause.effect != self.planted)
 
 
-def named(answer: DiagnosisResult) -> list[Cause]:
+def named_causes(answer: DiagnosisResult) -> list[Cause]:
     """Causes at even odds or better."""
     return [cause for cause in answer.causes if cause.probability >= NAMED_PROBABILITY]
 

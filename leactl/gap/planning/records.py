@@ -124,7 +124,7 @@ def clocks(plan: Plan, asked: PlannedSetpoints, model: Model) -> tuple[Clocked |
         heating = asked.current("test")
         slow["line_current", "test"] = (np.zeros_like(asked.time) if heating is None else heating)[::camera_step]
         slow["line_voltage", "test"] = np.zeros_like(asked.time[::camera_step])
-        return None, clocked(asked.time[::camera_step], slow)
+        return None, even_clock(asked.time[::camera_step], slow)
     current, load_current, speed = planned_motion(plan, asked, model)
     fast: dict[Key, Array] = {
         ("q_axis_current_reference", "test"): current,
@@ -140,10 +140,10 @@ def clocks(plan: Plan, asked: PlannedSetpoints, model: Model) -> tuple[Clocked |
         fast["torque", "test"] = np.zeros_like(current)
     if plan.setup == "coupled":
         fast["q_axis_current", "load"], fast["velocity", "load"] = load_current, speed
-    return clocked(asked.time, fast), clocked(asked.time[::camera_step], slow)
+    return even_clock(asked.time, fast), even_clock(asked.time[::camera_step], slow)
 
 
-def clocked(time: Array, values: dict[Key, Array]) -> Clocked:
+def even_clock(time: Array, values: dict[Key, Array]) -> Clocked:
     """Return channels on one even clock, all valid; current and voltage are means, as drives average them."""
     valid = {key: np.ones(len(time), bool) for key in values}
     means = {("q_axis_current", "test"), ("q_axis_voltage", "test")} & set(values)

@@ -217,7 +217,7 @@ def _servo_current(
         group.answer(error)
     volts = servo.gain * error
     if np.any(servo.damping):
-        volts += servo.damping * (_hasty(servo, step, index) - velocity)
+        volts += servo.damping * (_reference_rate(servo, step, index) - velocity)
     volts = np.clip(volts, -servo.limit, servo.limit)
     flowing = (volts - servo.emf * velocity) / servo.resistance
     for group in groups:
@@ -226,7 +226,7 @@ def _servo_current(
     return np.where(np.isnan(wanted), 0.0, flowing)
 
 
-def _hasty(servo: Servo, step: float, index: int) -> Array:
+def _reference_rate(servo: Servo, step: float, index: int) -> Array:
     """Return the rate [rad/s] of the servo's reference over one holding interval; zero at the beginning."""
     earlier = servo.reference[max(index - servo.held, 0)]
     speed = (servo.reference[index] - earlier) / (servo.held * step)

@@ -78,7 +78,7 @@ def fit_effect_sets(
     InputError : a run without a position servo, or runs sampled at different rates.
     """
     runs = servo_runs(records, model)
-    fixed = effects_of(model)
+    fixed = parameters_of_model_effects(model)
     in_model = {name.partition(".")[0] for name in fixed}
     held = (*fixed, *unidentifiable(runs))
     begin = (
@@ -114,7 +114,7 @@ def fit_effect_sets(
     final = sets.settle(named)
     # a step of the simulation takes what it follows as if it had come half a step earlier
     late = final.parameters["reference_delay"] - 0.5 * runs.interval / parts_of(runs, table([final.parameters]))
-    return FittedEffectSets(standing, sets[frozenset()], final, errors_of(final, runs), sets, late)
+    return FittedEffectSets(standing, sets[frozenset()], final, standard_errors_of(final, runs), sets, late)
 
 
 class Sets(dict[Set, FittedServo]):
@@ -220,7 +220,7 @@ def likely_effects(
     with it by as much. Further effects that were tried beside all members stay below the probability of a named one.
     """
     fitted = sets[members]
-    stds = errors_of(fitted, runs)
+    stds = standard_errors_of(fitted, runs)
     worse = {name: log_cost_ratio(sets, members - {name}, members, runs) for name in members}
     unseen_loss = dict.fromkeys(members, 0.0)
     if unseen is not None and unseen.measured.any() and members:
@@ -248,7 +248,7 @@ def likely_effects(
             NAMED_PROBABILITY - LISTED_PROBABILITY,
         )
         if probability >= LISTED_PROBABILITY:
-            further = parameters_of(name, sets[larger], errors_of(sets[larger], runs))
+            further = parameters_of(name, sets[larger], standard_errors_of(sets[larger], runs))
             standings.append(LikelyEffect(name, probability, 0.0, further))
     return tuple(sorted(standings, key=lambda item: (-item.probability, -item.share)))
 
@@ -265,7 +265,7 @@ def peers_of(sets: Mapping[Set, FittedServo], members: Set, name: str, runs: Ser
     )
 
 
-def effects_of(model: Model) -> Parameters:
+def parameters_of_model_effects(model: Model) -> Parameters:
     """Effects that a model has already, as the simulation names them; they stay as they are."""
     parameters: Parameters = {}
     for entry in model.effects:
@@ -346,7 +346,7 @@ def costs_of(runs: ServoRuns, fits: Sequence[FittedServo]) -> list[float]:
     return [cost(error) for error in MeasuredServoRuns(runs).of([fitted.parameters for fitted in fits])]
 
 
-def errors_of(fitted: FittedServo, runs: ServoRuns) -> dict[str, float]:
+def standard_errors_of(fitted: FittedServo, runs: ServoRuns) -> dict[str, float]:
     """Return standard errors of the fitted parameters, from autocorrelated residuals or the spread between runs.
 
     The larger one counts; the spread is the sandwich of Huber (1967) over whole runs. The error of a parameter that the

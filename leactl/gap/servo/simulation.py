@@ -101,11 +101,13 @@ def simulate(runs: ServoRuns, sets: Mapping[str, Array], stretches: Stretches, s
     slowing = 0.5 * constant * (constant + rate_gain) / resistance
     free_impedance = (spread("rotor_inertia") + of_runs(runs.inertia)) / step + 0.5 * damping
     impedance = free_impedance + slowing
-    saturate = _loss(*(spread(f"saturation.{name}") for name in ("loss", "exponent", "current")))
+    saturate = _saturation_function(*(spread(f"saturation.{name}") for name in ("loss", "exponent", "current")))
     load_coefficient = spread("load_dependent_friction.coefficient")
-    speed_factor = _fading(*(spread(f"stribeck.{name}") for name in ("breakaway_ratio", "stribeck_velocity", "shape")))
-    angle_factor = _wave(*(spread(f"position_dependent_friction.{name}") for name in ("cos", "sin", "order")))
-    dead_band = _deafness(
+    speed_factor = _stribeck_function(
+        *(spread(f"stribeck.{name}") for name in ("breakaway_ratio", "stribeck_velocity", "shape"))
+    )
+    angle_factor = _angle_function(*(spread(f"position_dependent_friction.{name}") for name in ("cos", "sin", "order")))
+    dead_band = _dead_band_function(
         spread("servo_dead_band.band"), max(BAND_EDGE_COUNTS * runs.encoder_resolution, FINEST_RESOLUTION)
     )
     load_friction, pendulum = bool(np.any(load_coefficient)), runs.hangs
@@ -214,7 +216,7 @@ def voltages(runs: ServoRuns, sets: Mapping[str, Array], set_points: SetPoints) 
     begins, _, profile_index = set_points.at(sets, count, "voltage_delay")
     error = begins[profile_index] - runs.angle
     band = sets.get("servo_dead_band.band", np.zeros(count))[:, None, None]
-    dead_band = _deafness(band, max(BAND_EDGE_COUNTS * runs.encoder_resolution, FINEST_RESOLUTION))
+    dead_band = _dead_band_function(band, max(BAND_EDGE_COUNTS * runs.encoder_resolution, FINEST_RESOLUTION))
     if dead_band is not None:
         dead_band(error, np.empty_like(error))
     volts = runs.gain[:, None] * error
@@ -256,7 +258,7 @@ def parts_of(runs: ServoRuns, sets: Mapping[str, Array]) -> int:
     return int(np.clip(np.ceil(needed), FEWEST_PARTS, MOST_PARTS)) if np.isfinite(needed) else FEWEST_PARTS
 
 
-def _deafness(band: Array, edge: float) -> Callable[[Array, Array], None] | None:
+def _dead_band_function(band: Array, edge: float) -> Callable[[Array, Array], None] | None:
     """Return a function that zeroes errors within a dead band in place; None where there is no band.
 
     edge : width over which the output rises at the end of the band.
@@ -275,7 +277,7 @@ def _deafness(band: Array, edge: float) -> Callable[[Array, Array], None] | None
     return deafen
 
 
-def _loss(loss: Array, exponent: Array, current_scale: Array) -> Callable[[Array, Array], None] | None:
+def _saturation_function(loss: Array, exponent: Array, current_scale: Array) -> Callable[[Array, Array], None] | None:
     """Return a function that reduces currents by saturation in place; None where nothing is lost."""
     if not np.any(loss):
         return None
@@ -296,7 +298,7 @@ def _loss(loss: Array, exponent: Array, current_scale: Array) -> Callable[[Array
     return lose
 
 
-def _fading(ratio: Array, velocity: Array, shape: Array) -> Callable[[Array], Array] | None:
+def _stribeck_function(ratio: Array, velocity: Array, shape: Array) -> Callable[[Array], Array] | None:
     """Return the factor on friction as a function of speed; None where it is one everywhere."""
     if not np.any(ratio):
         return None
@@ -318,7 +320,7 @@ def _fading(ratio: Array, velocity: Array, shape: Array) -> Callable[[Array], Ar
     return fade
 
 
-def _wave(cosine: Array, sine: Array, order: Array) -> Callable[[Array], Array] | None:
+def _angle_function(cosine: Array, sine: Array, order: Array) -> Callable[[Array], Array] | None:
     """Return the factor on friction as a function of the angle; None where it is one everywhere."""
     if not (np.any(cosine) or np.any(sine)):
         return None

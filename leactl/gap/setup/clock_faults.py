@@ -165,7 +165,7 @@ def drifts(course: LatenessCourse, error: float, scatter: float, span: float) ->
 def leap_course(record: Record, pair: ExpectedChannel, stretches: Lateness) -> LatenessCourse | None:
     """Return the course of a channel that becomes earlier in leaps and stays so; None where it does not."""
     error = np.maximum(stretches.error, float(np.median(np.abs(np.diff(stretches.late)))) + 0.05)
-    steps = leaps_of(stretches.late, error)
+    steps = leap_indices(stretches.late, error)
     if not steps or len(steps) > MOST_LEAPS:
         return None
     drift_line = fit_line(stretches)[0]
@@ -198,7 +198,7 @@ def leap_course(record: Record, pair: ExpectedChannel, stretches: Lateness) -> L
     return course if mends([(record, pair, stretches)], {record.name: course}) else None
 
 
-def leaps_of(late: Array, error: Array) -> list[int]:
+def leap_indices(late: Array, error: Array) -> list[int]:
     """Return the indices at which the level of a series changes, by dynamic programming with a penalty per level."""
     count = len(late)
 
@@ -249,12 +249,12 @@ def mends(
 ) -> bool:
     """Return whether the median gain of the runs with corrected clocks is at least `LEAST_MENDED_SHARE`."""
     return (
-        float(np.median([gain_of(pair, courses[record.name], steady) for record, pair, _ in group]))
+        float(np.median([mended_share(pair, courses[record.name], steady) for record, pair, _ in group]))
         >= LEAST_MENDED_SHARE
     )
 
 
-def gain_of(pair: ExpectedChannel, course: LatenessCourse, steady: bool) -> float:
+def mended_share(pair: ExpectedChannel, course: LatenessCourse, steady: bool) -> float:
     """Return the share of a channel's squared error that a corrected clock removes.
 
     steady : whether a constant lag is fitted in addition, before and after.

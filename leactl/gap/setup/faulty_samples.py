@@ -37,7 +37,9 @@ COMPANIONS = {
 """Channels, and their companions, which do not move without them."""
 
 
-def channels_of(records: Sequence[Record], quantities: Collection[str]) -> Iterator[tuple[Key, dict[str, Clocked]]]:
+def channels_with_clocks(
+    records: Sequence[Record], quantities: Collection[str]
+) -> Iterator[tuple[Key, dict[str, Clocked]]]:
     """Yield every channel of these quantities with the clocks that have it, by record name."""
     clocks = {record.name: record.fast for record in records if record.fast is not None}
     for key in sorted({key for clock in clocks.values() for key in clock.values if key[0] in quantities}):
@@ -51,7 +53,7 @@ def percent_text(masks: Iterable[Mask]) -> str:
 
 def find_wrapped_angle(records: Sequence[Record], _: Model) -> SetUpFault | None:
     """Return the fault of an angle that leaps by a whole range, if there is one."""
-    for key, clocks in channels_of(records, ("angle",)):
+    for key, clocks in channels_with_clocks(records, ("angle",)):
         period = max(period_of(clock.values[key][clock.all_valid(key)]) for clock in clocks.values())
         if period > 0.0:
             evidence = f"leaps by {period:.6g} rad from one sample to the next"
@@ -84,7 +86,7 @@ def period_of(values: Array) -> float:
 def find_frozen_channel(records: Sequence[Record], _: Model) -> SetUpFault | None:
     """Return the fault of a channel that is constant for long while its companion moves, if there is one."""
     mechanical = {record.name: record.mechanical for record in records}
-    for key, clocks in channels_of(records, COMPANIONS):
+    for key, clocks in channels_with_clocks(records, COMPANIONS):
         if all(may_rest(key, mechanical[name]) for name in clocks):
             continue
         rests = {
@@ -170,7 +172,7 @@ def noisy_quantities(model: Model) -> tuple[str, ...]:
 
 def find_repeated_samples(records: Sequence[Record], model: Model) -> SetUpFault | None:
     """Return the fault of a measured channel with many repeated samples, if there is one."""
-    for key, clocks in channels_of(records, noisy_quantities(model)):
+    for key, clocks in channels_with_clocks(records, noisy_quantities(model)):
         shares = [float(repeated_samples(clock, key).mean()) for clock in clocks.values()]
         if float(np.median(shares)) > MOST_REPEATED_SHARE:
             evidence = f"repeats {100.0 * float(np.median(shares)):.0f} % of its samples"
@@ -201,7 +203,7 @@ def repeated_samples(clock: Clocked, key: Key) -> Mask:
 
 def find_clipped_channel(records: Sequence[Record], model: Model) -> SetUpFault | None:
     """Return the fault of a measured channel that stays at an end of its range, if there is one."""
-    for key, clocks in channels_of(records, noisy_quantities(model)):
+    for key, clocks in channels_with_clocks(records, noisy_quantities(model)):
         topped = {
             name: top
             for name, clock in clocks.items()

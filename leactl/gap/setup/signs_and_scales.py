@@ -110,9 +110,9 @@ def fault_of(spoken: Sequence[ShownFault], runs: set[str], run_count: int, model
         fault = count_fault(best, within, runs, model)
     else:
         fault = scale_fault(best, within, runs)
-    peers = [name for rival in other_channels for name in names_of(rival)]
+    peers = [name for rival in other_channels for name in fault_names(rival)]
     if other_channels:
-        alike = " or ".join(dict.fromkeys(channels_of(rival.signature.keys) for rival in other_channels))
+        alike = " or ".join(dict.fromkeys(channels_text(rival.signature.keys) for rival in other_channels))
         fault = replace(fault, change=f"{fault.change}; these runs cannot tell it from {alike}")
     constants = {"torque", "resistance", "inertia", "damping", "friction"} & best.signature.powers.keys()
     if best.size and constants and {"current test", "velocity test", "back_emf"}.isdisjoint(best.signature.powers):
@@ -121,7 +121,7 @@ def fault_of(spoken: Sequence[ShownFault], runs: set[str], run_count: int, model
     return replace(fault, peers=tuple(name for name in merged if name != fault.name))
 
 
-def names_of(spoken: ShownFault) -> tuple[str, ...]:
+def fault_names(spoken: ShownFault) -> tuple[str, ...]:
     """Return the names of the faults that a rival may be."""
     if spoken.signature.keys == (TIME,):
         return (TIME_BASE,)
@@ -132,7 +132,7 @@ def names_of(spoken: ShownFault) -> tuple[str, ...]:
     return (SCALE,)
 
 
-def channels_of(keys: Sequence[Key]) -> str:
+def channels_text(keys: Sequence[Key]) -> str:
     """Return channels as text."""
     return " and ".join(
         quantity.replace("_", " ") + ("" if role in ("test", "") else f" of {role}") for quantity, role in keys
@@ -146,7 +146,7 @@ def factor_text(best: ShownFault, within: str) -> str:
     return f"reads {best.factor:.4g}{convention_text} times what the other channels and the model make of it{within}"
 
 
-def parameters_of(best: ShownFault) -> tuple[EffectParameter, ...]:
+def factor_parameters(best: ShownFault) -> tuple[EffectParameter, ...]:
     """Return the factor with its error as a parameter."""
     return (EffectParameter("factor", best.factor, best.error * abs(best.factor), "1"),)
 
@@ -158,7 +158,9 @@ def sign_fault(best: ShownFault, within: str, runs: set[str]) -> SetUpFault:
         f"give {' and '.join(name for name, _ in keys)} `sign: -1` in the mapping, or `invert: true` in the bench file"
     )
     mend = partial(with_divided_channels, keys=keys, by=-1.0, runs=runs)
-    return SetUpFault(SIGN, keys[0], FAULT_PROBABILITY, factor_text(best, within), change, mend, parameters_of(best))
+    return SetUpFault(
+        SIGN, keys[0], FAULT_PROBABILITY, factor_text(best, within), change, mend, factor_parameters(best)
+    )
 
 
 def scale_fault(best: ShownFault, within: str, runs: set[str]) -> SetUpFault:
@@ -167,7 +169,9 @@ def scale_fault(best: ShownFault, within: str, runs: set[str]) -> SetUpFault:
     names, multiplier = " and ".join(name for name, _ in keys), f"{1.0 / best.factor:.6g}"
     change = f"multiply the `scale` of {names} in the mapping, or in the bench file, by {multiplier}"
     mend = partial(with_divided_channels, keys=keys, by=best.factor, runs=runs)
-    return SetUpFault(SCALE, keys[0], FAULT_PROBABILITY, factor_text(best, within), change, mend, parameters_of(best))
+    return SetUpFault(
+        SCALE, keys[0], FAULT_PROBABILITY, factor_text(best, within), change, mend, factor_parameters(best)
+    )
 
 
 def count_fault(best: ShownFault, within: str, runs: set[str], model: Model) -> SetUpFault:
@@ -211,7 +215,7 @@ def time_base_fault(best: ShownFault, within: str, runs: set[str]) -> SetUpFault
     unit = {"1000": "`time: units: ms`", "1000000": "`time: units: us`", "60": "`time: units: min`"}.get(step)
     change = f"give {unit} in the mapping" if unit else f"multiply `rate_Hz` of the time in the mapping by {size:.6g}"
     mend = partial(with_scaled_stamps, by=size, runs=runs)
-    return SetUpFault(TIME_BASE, TIME, FAULT_PROBABILITY, evidence, change, mend, parameters_of(best))
+    return SetUpFault(TIME_BASE, TIME, FAULT_PROBABILITY, evidence, change, mend, factor_parameters(best))
 
 
 def with_divided_channels(record: Record, keys: Sequence[Key], by: float, runs: set[str]) -> Record:

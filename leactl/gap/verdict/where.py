@@ -165,7 +165,7 @@ def region_of_effects(
 
     The interval may hold any share of the data.
     """
-    wanted = [(quantity, periods_of(cause)) for cause in effects for quantity in regions_of(cause.effect)]
+    wanted = [(quantity, periods_of(cause)) for cause in effects for quantity in region_quantities(cause.effect)]
     views = [view for quantity, periods in wanted if (view := over_quantity(group, quantity, periods)) is not None]
     best = first_that_follows(views, lambda view: view.explained)
     if best is None or (interval := narrowest_interval(best.values, best.squares)) is None:
@@ -174,7 +174,7 @@ def region_of_effects(
     return Region(best.quantity, interval[0], interval[1], units, best.within_turn), interval[2]
 
 
-def regions_of(effect: str) -> list[str]:
+def region_quantities(effect: str) -> list[str]:
     """Return the quantities in which the region of an effect's gap is given."""
     quantities = [VARIABLES[variable].quantity for variable in effect_definition(effect).acts_over]
     return [quantity for quantity in quantities if quantity is not None]
