@@ -252,7 +252,7 @@ class _CompiledJoint:
         level, hanging = self._weight(slides)
         stiffness = float(np.ravel(model.jnt_stiffness[self.index])[0])
         actuator = self._actuator()
-        self._tell_polynomials()
+        self._note_polynomials()
         lower_joints = [
             model.joint(other_joint).name or f"number {other_joint}"
             for other_joint in range(model.njnt)
@@ -391,7 +391,7 @@ class _CompiledJoint:
             return "position"
         return "velocity" if gain[0] > 0.0 and bias[1] == 0.0 and abs(gain[0] + bias[2]) <= near else "other"
 
-    def _tell_polynomials(self) -> None:
+    def _note_polynomials(self) -> None:
         """Add notes on nonlinear damping and springs, which MuJoCo has since version 3.6."""
         for owner, index, name in (
             ("dof_dampingpoly", self.dof, "damping"),

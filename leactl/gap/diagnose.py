@@ -138,7 +138,7 @@ def hold_out_runs(records: list[Record]) -> tuple[list[Record], list[Record]]:
         return [r for r in records if r.path not in held_out_paths], [
             r for path in held_out_paths for r in records if r.path == path
         ]
-    fitted, held_out = zip(*(record.parted() for record in records), strict=True)
+    fitted, held_out = zip(*(record.hold_out_stretches() for record in records), strict=True)
     return list(fitted), list(held_out)
 
 

@@ -85,9 +85,13 @@ def _simulate(mujoco: Any, run: JointRun) -> JointSignals:
     geared, motor_share = effects.geared, 1.0 - effects.load_friction
     if geared:
         state.qpos[1] = run.angle
-    rows = np.zeros((4, len(run.asked(None))))
+    rows = np.zeros((4, len(run.reference_or_zeros(None))))
     for index, (current, velocity) in enumerate(
-        zip(run.asked(run.program.current).tolist(), run.asked(run.program.velocity).tolist(), strict=True)
+        zip(
+            run.reference_or_zeros(run.program.current).tolist(),
+            run.reference_or_zeros(run.program.velocity).tolist(),
+            strict=True,
+        )
     ):
         reference = drive.reference(current, velocity)
         for part in range(STEPS_PER_SAMPLE):

@@ -43,7 +43,7 @@ class JointRun:
                 return drawn.parameters[name]
         return otherwise
 
-    def asked(self, program: Array | None) -> Array:
+    def reference_or_zeros(self, program: Array | None) -> Array:
         """Return a reference of the program, zeros where it has none."""
         length = self.program.current if self.program.current is not None else self.program.velocity
         assert length is not None

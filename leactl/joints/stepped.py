@@ -16,7 +16,7 @@ BURST_SHARE = 0.6  # of a sine's amplitude; above it a burst of friction acts
 def simulate(runs: Sequence[JointRun]) -> list[JointSignals]:
     """Run every lane to the end of its references."""
     lanes = JointLanes(runs)
-    lengths = [len(run.asked(None)) for run in runs]
+    lengths = [len(run.reference_or_zeros(None)) for run in runs]
     longest = max(lengths)
     current, velocity = (padded(runs, quantity, longest) for quantity in ("current", "velocity"))
     signals = np.zeros((4, longest, len(runs)))
@@ -29,7 +29,7 @@ def padded(runs: Sequence[JointRun], quantity: str, longest: int) -> Array:
     """A reference of all runs, shape (samples, lanes); zero after the end of a run."""
     references = np.zeros((longest, len(runs)))
     for lane, run in enumerate(runs):
-        reference = run.asked(getattr(run.program, quantity))
+        reference = run.reference_or_zeros(getattr(run.program, quantity))
         references[: len(reference), lane] = reference
     return references
 

@@ -71,5 +71,5 @@ def logs(folder, arm, seed=1, **changes):
 
 def case_of(records, model):
     """The log with stretches of each test held out."""
-    kept, taken = zip(*(record.parted() for record in records), strict=True)
+    kept, taken = zip(*(record.hold_out_stretches() for record in records), strict=True)
     return Case(model, list(kept), list(taken))

@@ -91,7 +91,7 @@ def line_voltage(record: Record, s: Signals) -> Equation | None:
         mask,
         {"line_voltage": lambda c: c},
         calibration,
-        rounding=quantum_of(clock.own("line_voltage")) / math.sqrt(12.0),
+        rounding=quantum_of(clock.as_measured("line_voltage")) / math.sqrt(12.0),
         width=0.0,
         step=2,
     )

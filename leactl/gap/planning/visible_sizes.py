@@ -124,14 +124,14 @@ class Projected:
             position = self.place.get(int(column))
             if position is not None and self.kept[position]:
                 columns.append(position)
-            elif position is not None or not self.own(int(column)):
+            elif position is not None or not self.is_of_one_run(int(column)):
                 return []
         projected_gram = self.left[np.ix_(columns, columns)]
         scale = np.sqrt(np.diag(projected_gram))
         eigenvalues = np.linalg.eigvalsh(projected_gram / np.outer(scale, scale)) if columns else np.zeros(1)
         return columns if float(eigenvalues[0]) > IMITATED_SHARE else []
 
-    def own(self, column: int) -> bool:
+    def is_of_one_run(self, column: int) -> bool:
         """Return whether a column belongs to a single run, which need not be among the chosen ones."""
         return self.evidence.coefficient(column).startswith("start of")
 
@@ -180,7 +180,7 @@ class Projected:
 
     def _directions(self, block: list[int]) -> Array:
         """Return orthonormal combinations of all columns that span a candidate, projected off single runs' columns."""
-        own_columns = [k for k in block if self.own(int(self.columns[k]))]
+        own_columns = [k for k in block if self.is_of_one_run(int(self.columns[k]))]
         shared_columns = [k for k in block if k not in own_columns]
         spanned = np.zeros((len(shared_columns), len(self.columns)))
         spanned[np.arange(len(shared_columns)), shared_columns] = 1.0

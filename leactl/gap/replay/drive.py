@@ -62,7 +62,7 @@ def speed_over_steps(job: Job) -> Array | None:
 
 def with_measured_current(job: Job, reading: Array, mean: Array) -> tuple[Array, Array]:
     """Replace the current by the measured one where the drive has no reference, or is at its voltage ceiling."""
-    unreferenced = job.clock.unasked("q_axis_current_reference")
+    unreferenced = job.clock.samples_without_reference("q_axis_current_reference")
     flowing, at_limit = measured_over_steps(job, "test"), at_ceiling(job.clock, job.plant.model) & ~unreferenced
     if flowing is None or not (at_limit | unreferenced).any():
         return reading, mean

@@ -141,13 +141,13 @@ def records_of(run: Run, share: float, bench: BenchModel) -> list[Record]:
         slow, notes = None, [f"{fault}; temperatures are left out" for fault in error.faults]
     walk = Walk.of(run, share, bench)
     stretches = stretches_of(walk, slow)
-    notes.insert(0, walk.told(stretches))
+    notes.insert(0, walk.reading_note(stretches))
     notes += [note for note in stretches[0].notes if all(note in further.notes for further in stretches)]
     for stretch in stretches:
         stretch.notes = []
     if slow is None or slow.slow is None:
         return [replace(stretches[0], notes=notes), *stretches[1:]]
-    clock = replace(slow.slow, driven=walk.driven(slow.slow.time))
+    clock = replace(slow.slow, driven=walk.drive_means_after(slow.slow.time))
     return [replace(slow, slow=clock, notes=[*notes, *slow.notes]), *stretches]
 
 
@@ -346,7 +346,7 @@ class Walk:
         specs = {spec.quantity: spec for spec in reversed(self.run.streams[self.stream]) if spec.role == "test"}
         return next((specs[quantity] for quantity in quantities if quantity in specs), None)
 
-    def driven(self, edges: Array) -> dict[str, Array]:
+    def drive_means_after(self, edges: Array) -> dict[str, Array]:
         """Return mean and mean square of the current and mean square of the speed in the interval after each edge."""
         sums: dict[str, Array] = {}
         counts: dict[str, Array] = {}
@@ -373,7 +373,7 @@ class Walk:
                 counts[name] = counts.get(name, np.zeros(len(edges))) + np.bincount(intervals, minlength=len(edges))
         return {name: means_with_gaps_filled(total, counts[name]) for name, total in sums.items()}
 
-    def told(self, stretches: Sequence[Record]) -> str:
+    def reading_note(self, stretches: Sequence[Record]) -> str:
         """Return the note that says how much of the run is read."""
         duration = float(self.values("time", self.rows - 1, self.rows)[0]) - self.begin
         stretch_duration, share = self.interval * self.length, 100.0 * len(stretches) * self.length / self.rows

@@ -29,7 +29,7 @@ def write_readings(job: Job) -> None:
         followed = job.plant.model.bench.current_loop_bandwidth is not None or job.plant.model.drive is not None
         flowing = current(job) if followed else None
         if flowing is not None:  # without a reference the measured current is an input
-            flowing = np.where(clock.unasked("q_axis_current_reference"), np.nan, flowing)
+            flowing = np.where(clock.samples_without_reference("q_axis_current_reference"), np.nan, flowing)
         readings["q_axis_current"] = flowing
     if job.velocity is not None:
         readings["velocity"] = velocity(job) if clock.get("velocity") is not None else derived_speed(job)

@@ -70,12 +70,12 @@ class Clocked:
         """Return the values of a channel, or None where the run lacks it."""
         return self.values.get((quantity, role))
 
-    def own(self, quantity: str, role: str = "test") -> Array:
+    def as_measured(self, quantity: str, role: str = "test") -> Array:
         """Return the values of a channel as measured, before interpolation."""
         key = quantity, role
         return self.between[key][1] if key in self.between else self.values[key]
 
-    def unasked(self, quantity: str) -> Mask:
+    def samples_without_reference(self, quantity: str) -> Mask:
         """Return the samples in a long gap of a reference, in which the drive was in another mode, or off."""
         key = quantity, "test"
         if key not in self.between:
@@ -125,7 +125,7 @@ class Record:
         """Name of the run, with the begin of the stretch."""
         return self.run + self.stretch
 
-    def parted(self) -> tuple["Record", "Record"]:
+    def hold_out_stretches(self) -> tuple["Record", "Record"]:
         """Return the run without the samples of two of sixteen stretches, and the run with only these.
 
         Only the masks of valid samples differ.
