@@ -1,4 +1,4 @@
-"""What an effect is: its equation, where it shows, what it is taken for, which experiment shows it, its parameters."""
+"""Describe an effect: its equation, its channels, similar effects, the experiment that shows it, and its parameters."""
 
 import inspect
 import sys
@@ -11,7 +11,7 @@ from leactl.vocabulary.variable import VARIABLES
 
 
 def effect_sheet(name: str) -> dict[str, Any]:
-    """Everything that is known of one effect, or of one fault of a set-up.
+    """Return the description of one effect, or of one fault of a set-up.
 
     Raises
     ------
@@ -35,6 +35,6 @@ def effect_sheet(name: str) -> dict[str, Any]:
 
 
 def equation(name: str) -> str:
-    """The equation of an effect: the whole docstring of its module, on one line."""
+    """Return the equation of an effect: the whole docstring of its module, on one line."""
     module = sys.modules[type(library()[name]).__module__]
     return " ".join((inspect.getdoc(module) or "").split())

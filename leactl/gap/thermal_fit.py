@@ -1,7 +1,7 @@
 """Fit an actuator's thermal network and winding resistance to its runs, with the tolerance of each value.
 
-A run with the winding's and the housing's temperature and the heat (line current, or q-axis current) tells the network;
-the joint covariance is that of the regression over all runs, priors included.
+A run with the winding's and the housing's temperature and the heat (line current, or q-axis current) determines the
+network; the joint covariance is that of the regression over all runs, priors included.
 """
 
 import math
@@ -38,16 +38,16 @@ MOST_INFORMED_RATIO = 0.5  # standard deviation over that of the prior; below, t
 
 @dataclass(frozen=True)
 class ThermalFit:
-    """What runs tell of an actuator's thermal network."""
+    """Thermal network of an actuator, fitted to runs."""
 
     parameters: tuple[CalibratedParameter, ...]
     correlation: Array  # of the parameters, in their order
-    tolerances: dict[str, float]  # as a motor file's block has them; what the runs do not tell is left out
-    notes: tuple[str, ...] = ()  # on the records
+    tolerances: dict[str, float]  # by key of a motor file, of the parameters that the runs determine
+    notes: tuple[str, ...] = ()  # made while the runs were read
 
 
 def missing_channels(run: Run) -> list[str]:
-    """What a run lacks for a thermal network, by quantity; empty where it has everything."""
+    """Return the quantities that a run lacks for a thermal network; empty if it has all."""
     air = run.has(AMBIENT, "bench") or run.has(AMBIENT)
     missing = [] if run.has("winding_temperature") else ["winding_temperature"]
     missing += [] if run.has("housing_temperature") else ["housing_temperature"]

@@ -116,7 +116,7 @@ def drive_torque(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]]
         logged = s.extra.get("told")
         if logged is None:
             return None
-        scale = model.torque_constant or 1.0  # a logged force is its own current
+        scale = model.torque_constant or 1.0  # a logged force counts as a current
         return logged, {}, {"torque_factor": lambda c: -logged * c, "current_reading": lambda c: scale * c}
     constant = model.torque_constant
     if constant is None:
@@ -129,7 +129,7 @@ def drive_torque(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]]
         # without a weight the gain is not identifiable, and would absorb a whole creep
         return torque, {}, {} if "creep" in s.extra else places
     resistance = model.phase_resistance or np.inf
-    emf = torque - constant * s.extra["servo_volts"] / resistance  # negative where the axis moves ahead
+    emf = torque - constant * s.extra["servo_volts"] / resistance  # negative at positive speed
     places["voltage"] = lambda c: constant * s.extra["servo_share"] * c / resistance
     places["emf_factor"] = lambda c: -emf * c
     columns = {"phase_resistance": torque, "torque_constant": -(constant * current + emf)}

@@ -1,4 +1,4 @@
-"""Voltage of the winding, of the heated leads, of the bus; current after its reference."""
+"""Equations of the voltages of winding, heated leads and bus, and of the current that follows its reference."""
 
 import math
 
@@ -64,7 +64,7 @@ def voltage(record: Record, s: Signals) -> Equation | None:
 
 
 def line_voltage(record: Record, s: Signals) -> Equation | None:
-    """Line voltage of the heated winding = 2 R(T) I; T of the phases that carry the current, where it is known."""
+    """Line voltage of the heated winding = 2 R(T) I, with T of the phases that carry the current where it is known."""
     model, clock = s.model, record.slow
     if clock is None or s.line_current is None or s.winding is None or model.phase_resistance is None:
         return None
@@ -98,7 +98,7 @@ def line_voltage(record: Record, s: Signals) -> Equation | None:
 
 
 def current(record: Record, s: Signals) -> Equation | None:
-    """Current = what the model's loop makes of its reference."""
+    """Current = response of the model's loop to its reference."""
     clock = record.fast
     if clock is None or s.following is None or clock.get("q_axis_current") is None:
         return None
@@ -113,10 +113,11 @@ def current(record: Record, s: Signals) -> Equation | None:
         swift = np.abs(np.diff(s.following, prepend=s.following[0])) > MOST_SERVO_STEP_STDS * noise_of(measured)
         mask &= ~settling_rows(swift, settles, s.interval)
     channels = [(f"q_axis_current{suffix}", "test") for suffix in ("", "_reference")]
-    on_time = not any(channel in clock.unstamped for channel in channels)  # else stamps are late by more than this
+    # stamps of unknown meaning may be off by more than the nuisances below allow
+    on_time = not any(channel in clock.unstamped for channel in channels)
     if moved_by_a_servo(clock) or (on_time and not clock.setpoints_held):
-        # a servo inside the drive moves the reference between samples, or whatever sets it may: when in the interval is
-        # not recorded. Beside its slope stands what the sample before says, free of a swift change that follows
+        # The reference may change at an unrecorded time within an interval. The first nuisance shifts the response; the
+        # second takes it from the previous sample, which a swift later change does not affect.
         nuisance[BETWEEN_SAMPLES] = (-change, 0.5 * s.interval)
         nuisance["reference_before"] = (neighbour(s.following, -1) - s.following, 0.5)
     shared = stamp_columns("current", clock, channels, s.following)

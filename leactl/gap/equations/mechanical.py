@@ -110,7 +110,7 @@ def free_torque(record: Record, s: Signals) -> Equation | None:
         rounding=noise_of_counts(s, width),
         width=width,
         step=step,
-        memory=MEMORY_ROWS * USUAL_ROWS[1] // step,  # as long in closer rows
+        memory=MEMORY_ROWS * USUAL_ROWS[1] // step,  # the same duration in closer rows
     )
 
 
@@ -294,8 +294,8 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
         stamp_columns(name, record.fast, keys, s.torque),
         width=2.0,
         step=6,
-        # sliding friction is taken to follow at once: the rotor's swing on its shaft after a command stays in the
-        # residual, with lines that depend on the give of its bearing, which no model file contains
+        # Sliding friction is assumed to follow a command at once. The rotor's swing on its shaft therefore stays in the
+        # residual, with spectral lines that depend on the give of its bearing, which no model file contains.
         rough=swinging,
     )
 

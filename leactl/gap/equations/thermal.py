@@ -17,7 +17,7 @@ START_PRIOR = 5.0  # K: a winding that begins hot cools by kelvins within the sm
 
 
 def temperatures(record: Record, s: Signals) -> list[Equation]:
-    """Return one equation for the winding and one for the housing; none where a channel or the network lacks."""
+    """Return one equation for the winding and one for the housing; none if a channel or the network is missing."""
     thermal, clock = s.model.thermal, record.slow
     if thermal is None or clock is None or s.winding is None or s.housing is None or s.ambient is None:
         return []

@@ -95,7 +95,7 @@ def periodogram(rows: Rows, residual: Array, place: str, highest: int) -> Array:
         visibility = np.exp(-0.5 * (2 * np.pi * rate) ** 2 * width**2) * (rate < MOST_CYCLES_PER_SAMPLE)
         power = visibility**2
         if float(power.sum()) ** 2 < FEWEST_ROWS * float(power @ power):
-            continue  # too few rows are slow enough to show it
+            continue  # too few rows are slow enough to show this order
         gain = size * visibility
         energy = float(np.sum(gain**2)) / 2.0
         if energy > 1e-12:

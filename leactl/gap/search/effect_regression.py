@@ -90,7 +90,7 @@ class Null:
     lines: Mapping[tuple[str, str, str], float]  # height of the highest line in the residuals of each channel
     moved: Mapping[str, tuple[float, float]]  # by parameter: mean and scatter of its relative change
     unidentifiable: tuple[str, ...]  # parameters that these runs do not determine
-    kept: tuple[str, ...]  # those of them that no fit may move
+    kept: tuple[str, ...]  # unidentifiable parameters that no fit may move
 
     def bias(self, parameter: str) -> float:
         """Return the mean relative change of a parameter in sound machines; zero above `MOST_CORRECTED_BIAS`."""
@@ -202,7 +202,7 @@ class Evidence:
     def on(self, records: Sequence[Record], hypothesis: Sequence[Candidate], model: Model | None = None) -> "Evidence":
         """Return the evidence of other runs for some effects, with the floors, forms and held parameters of this one.
 
-        model : model to make the columns of, where it is not this one.
+        model : model whose columns are used; by default that of this evidence.
         """
         evidence = Evidence(records, model or self.model, only=hypothesis, kept=self.kept, on_time=self.on_time)
         if self.null is not None:

@@ -692,7 +692,7 @@ def describe(evidence: Evidence, hypothesis: list[Candidate]) -> EffectSet:
         others = hypothesis[:index] + hypothesis[index + 1 :]
         moved.append([abs(amount) for amount in reduction_by_rows(normal, normal.fit(others), fit)])
         item = fit_further_effect(evidence, normal, evidence.stack.columns_of(others), hypothesis[index], whole=True)
-        if item is None:  # in its whole form it is no possible effect beside the other members
+        if item is None:  # at full strength the member is no possible effect
             return describe(evidence, others)
         members.append(item)
         ranked = best_of_each(evidence, normal, others, whole=True)

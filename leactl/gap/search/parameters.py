@@ -250,7 +250,7 @@ def propagated_variances(
 ) -> dict[str, float]:
     """Return the variance of each parameter to first order; infinite if it depends on a change that no run shows.
 
-    So it is where the parameter itself becomes infinite by a change.
+    It is also infinite if a change makes the parameter itself infinite.
 
     parameters_after : returns the parameters after a change.
     covariance : covariance of the changes.

@@ -280,7 +280,7 @@ def disagreement(normal: Normal, fit: Fit, index: int) -> float:
     chi-square over its degrees of freedom widens the standard error (Birge, 1932).
     """
     variance = fit.covariance[index, index]
-    if not np.isfinite(variance):  # no run shows it
+    if not np.isfinite(variance):  # no run shows the coefficient
         return 1.0
     direction = np.zeros(len(normal.stack.names))
     direction[fit.columns] = fit.covariance[:, index] / variance

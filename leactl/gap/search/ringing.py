@@ -84,10 +84,10 @@ def steady_rows(rows: Rows, grid_index: npt.NDArray[np.intp]) -> npt.NDArray[np.
 
 
 def without_followed_part(rows: Rows, residual: Array) -> Array:
-    """Return the residual of a current or a velocity without the part that follows what it is a filter of.
+    """Return the residual of a current or a velocity without its part that is linear in the lagged input of the filter.
 
-    A slightly wrong loop, filter or stamp leaves the lines of the motion itself, or of the command; NaN stands around
-    leaps of the command. Other equations keep their residual.
+    The input is the model's current, or the speed of the angle: a slightly wrong loop, filter or stamp leaves its
+    spectral lines in the residual. Rows around leaps of the command become NaN. Other equations keep their residual.
     """
     followed = {"current": rows.signals.following, "velocity": rows.signals.velocity}.get(rows.equation)
     if followed is None:
@@ -154,5 +154,5 @@ def highest_bin(power: Array) -> tuple[int, float]:
             power[bin_index + 2 : bin_index + NEIGHBOUR_BINS + 1],
         )
         around = max(float(np.median(below)), float(np.median(above)))
-        ratios[bin_index] = power[bin_index] / around if around > 0.0 else 0.0  # the noise around it is not known
+        ratios[bin_index] = power[bin_index] / around if around > 0.0 else 0.0  # without neighbours there is no ratio
     return int(np.argmax(ratios)), float(np.max(ratios))

@@ -67,7 +67,7 @@ def fast_signals(record: Record, model: Model, slow: Signals | None) -> Signals 
         s.command, s.following = reference, means if as_means else ends
         s.looped = partial(loop_reading, bandwidth=bandwidth, interval=dt, as_mean=as_means)
         if not as_means and current is not None and not moved_by_a_servo(clock):
-            current = current + means - interval_means(ends)  # what a step does between two instants
+            current = current + means - interval_means(ends)  # corrects for a step between two instants
     if current is not None:
         s.current = smooth(current)
         s.extra["sharp_current"] = smooth(current, SHARP_WIDTH)
@@ -279,7 +279,7 @@ def slow_signals(record: Record, model: Model) -> Signals | None:
         set_joule_heat(record, s)
         heat = s.extra.get("heat")
         if heat is not None and housing is not None and s.ambient is not None and model.thermal is not None:
-            # columns must not contain the camera's noise, which is in the left-over as well
+            # columns must not contain the camera's noise, which the left-over contains
             measured = np.stack([winding, housing])
             valid = np.stack([clock.all_valid((f"{name}_temperature", "test")) for name in ("winding", "housing")])
             driven = fitted_temperatures(model.thermal, clock.interval, heat, s.ambient, measured, valid)

@@ -51,14 +51,14 @@ class Clocked:
     setpoints_held: bool = False  # whether a run of the log shows that setpoints hold over an interval
     units: dict[Key, str] = field(default_factory=dict)
     counts: dict[Key, float] = field(default_factory=dict)  # smallest step of an angle; almost zero if interpolated
-    # own stamps and values of interpolated channels
+    # stamps and values of interpolated channels, as logged
     between: dict[Key, tuple[Array, Array]] = field(default_factory=dict)
     fed: Array | None = None  # degC, temperature of the phases that two leads feed; None where not measured apart
     begin: float | None = None  # first stamp of the whole run, where this is a stretch
     fastest: float = 0.0  # rad/s or m/s, highest speed of the whole run, where this is a stretch
-    decimation: int = 1  # samples of the log for one of this clock
-    aside: bool = False  # whether it only gives the temperature of a stretch; the whole run has the equations
-    # of a run read in stretches: means of all of the drive's clock over the interval after each stamp
+    decimation: int = 1  # samples of the log in one sample of this clock
+    aside: bool = False  # whether it only gives the temperatures of a stretch, and the whole run has their equations
+    # for a run read in stretches: means over all samples of the drive's clock in the interval after each stamp
     driven: dict[str, Array] = field(default_factory=dict)
 
     @property
@@ -208,7 +208,7 @@ def build_record(
             usable.append(channel)
             if finite.all() and np.ptp(channel.values) == 0.0 and not may_rest(channel, mechanical):
                 notes.append(f"{path.name}: {channel.quantity} of {channel.role} never changes; is the channel alive?")
-            evenly = np.ptp(np.diff(np.flatnonzero(finite))) == 0  # as of a slower channel on the clock of a faster one
+            evenly = np.ptp(np.diff(np.flatnonzero(finite))) == 0  # a slower channel on the clock of a faster one
             if (
                 finite.mean() <= 1.0 - NOTED_MISSING_SHARE
                 and not evenly
@@ -328,7 +328,7 @@ def without_edges(valid: Mask) -> Mask:
 
 
 def winding_region(channel: Channel) -> str:
-    """Return the part of a winding that a location lies in: `active` of `active_2`."""
+    """Return the part of a winding that a location lies in, such as `active` for `active_2`."""
     return channel.location.partition("_")[0]
 
 

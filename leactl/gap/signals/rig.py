@@ -1,6 +1,6 @@
 """Signals of rigs other than the bench: another drive, a load that hangs on the shaft, creeping motion.
 
-A motor that is fed with a voltage and logs no current has the torque of that voltage, less the back-EMF's.
+The torque of a motor that is fed with a voltage and logs no current is that of the voltage less the back-EMF's.
 
 Most rigs log position and command only. A run's own set-up (`drive_gain`, `load_mass`, ...) replaces the model file's.
 """
@@ -50,7 +50,7 @@ class VoltageFeed(NamedTuple):
     """Torque of a voltage on a motor without a current channel."""
 
     gain: float  # N*m/V; one where the model has torques in volts
-    damping: float  # N*m*s/rad, of the back-EMF
+    damping: float  # N*m*s/rad, by the back-EMF
 
 
 def voltage_feed(record: Record, model: Model) -> VoltageFeed | None:

@@ -101,9 +101,10 @@ def pair_gain_tolerance(member: FurtherEffect, rival: FurtherEffect, missed: Map
 def coverage(beyond: float) -> float:
     """Return the probability that an effect is the right one.
 
-    A right form, even of another author, leaves about a percent; a wrong one that merely correlates leaves tens.
+    The right form, even by another author, leaves about one percent unexplained; a form that only correlates leaves
+    tens of percent.
 
-    beyond : share that the set explains, less the share that the right effect explains at least.
+    beyond : share that the set explains, less the least share that the right effect explains.
     """
     return 1.0 / (1.0 + math.exp(-beyond / COVERED_WIDTH))
 
@@ -126,7 +127,7 @@ def unrest_of_runs(evidence: Evidence, result: EffectSet) -> RunRatios:
         value = (rows.noise / white) ** 2 * rows.dependence
         expected = evidence.expected(rows, white)
         slow_power = max(rows.noise**2 - white**2 * OVERLAP_NOISE_RATIO, 0.0)
-        # the residual of a large signal under a shared parameter shows nothing either
+        # a slow residual far below the largest part of its equation shows nothing, either
         if is_left_by_form(result, index) or slow_power < (LEAST_SLOW_RESIDUAL * largest_part(rows)) ** 2:
             value = min(value, expected)
         ratios.setdefault((rows.equation, rows.quantity, rows.mechanical), []).append((rows.run, value / expected))

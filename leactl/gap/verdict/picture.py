@@ -88,7 +88,7 @@ class View:
 
     part: Part
     variable: Variable
-    periods: float | None  # as `Picture` has them
+    periods: float | None  # parts of a turn that an angle is folded by; None where it is not folded
     edges: Array
     place: Groups
     along: Along
@@ -309,7 +309,7 @@ def picture_of(best: View) -> Picture:
 
 
 def view_of(part: Part, variables: Sequence[Variable], periods: float) -> View | None:
-    """Return a part over the first of an effect's variables that it follows; None without bins enough.
+    """Return a part over the first of an effect's variables that it follows; None with too few bins.
 
     periods : parts of a turn that an angle is folded by, if the effect repeats with them.
     """
@@ -327,7 +327,7 @@ def view_of(part: Part, variables: Sequence[Variable], periods: float) -> View |
 
 
 def bins_over(part: Part, values: Array) -> tuple[Array, Groups, Along]:
-    """Return the edges of a part's bins over a variable, the bin of each row, and the sign its effect goes along."""
+    """Return the edges of a part's bins over a variable, the bin of each row, and the sign that its effect follows."""
     edges = bin_edges(values, part.effect, bin_count(part.independent))
     bins = bin_of(values, edges)
     return edges, bins, best_sign(part.effect, bins, signs(part))

@@ -34,9 +34,9 @@ def nearest_of_classes(
 ) -> tuple[list[Candidate], list[RuledOut]]:
     """Choose the effect of each class that fits held-out runs best in replays; rule out the clearly worse ones.
 
-    Equations judge each instant separately and leave out what they cannot resolve; a replay has to follow the whole
-    course. Neither of two effects is ruled out where the difference is unclear, or where even the better replay misses
-    a channel by more than `MOST_REPLAY_MISS`: another error there may favour either.
+    Equations judge each instant separately and leave out rows that they cannot resolve; a replay has to follow the
+    whole course. Neither of two effects is ruled out where the difference is unclear, or where even the better replay
+    misses a channel by more than `MOST_REPLAY_MISS`: another error there may favour either.
     """
     nearest, ruled_out = list(hypothesis), list[RuledOut]()
     for item in judged:

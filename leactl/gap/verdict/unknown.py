@@ -126,7 +126,10 @@ def row_groups_of(stacked: Stack, channel: Channel | None) -> list[int]:
 
 
 def sample_of(stacked: Stack, fit: Fit, indices: Sequence[int]) -> Sample:
-    """Return the residuals of some row groups under a fit, with the state; stretches of two runs are no neighbours."""
+    """Return the residuals of some row groups under a fit, with the state.
+
+    Stretches are numbered with a gap between runs, so that stretches of two runs are not neighbours.
+    """
     rows_of_runs = [stacked.rows[index] for index in indices]
     states = [state_in(rows.equation, rows.signals) for rows in rows_of_runs]
     state = {

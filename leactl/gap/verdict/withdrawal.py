@@ -143,7 +143,7 @@ def apply(
         fitted, augmented = trial.fitted, trial.model
         accepted.append(pending.pop(index))
         refusals.clear()
-    if len(pending) > 1:  # each alone may make the gap grow that all of them close together
+    if len(pending) > 1:  # effects that close a gap together may each enlarge it alone
         trial = trials.beside(fitted, augmented, [cause for stage in pending for cause in stage])
         if not trial.refused_because and all(trials.is_needed(stage, trial) for stage in pending):
             borne_out.append(trial)
@@ -259,10 +259,10 @@ def refusal(shrunk: Shrunk, at_bound: Sequence[str], beside_others: bool, equati
 
 
 def refusal_of_limit(shrunk: Shrunk) -> str:
-    """Return why the current of held-out runs is not held back by a limit of the drive; empty where it may be.
+    """Return why no limit of the drive reduces the current of held-out runs; empty where one may.
 
-    Where a limit acts, it alone says what the current is, so that it closes nearly all of the current's gap. A law that
-    resembles it, such as that of a supply at its voltage limit, closes a part.
+    A limit that acts determines the current alone, so that it closes nearly all of the current's gap. A law that
+    resembles the limit, such as that of a supply at its voltage limit, closes a part.
     """
     for line in shrunk.shrinkage:
         if line.quantity != "q_axis_current" or line.closed is None or not line.floor_rms > 0.0:
@@ -274,5 +274,5 @@ def refusal_of_limit(shrunk: Shrunk) -> str:
 
 
 def names_at_bound(parameters: Sequence[CalibratedParameter]) -> list[str]:
-    """Return the names of the parameters whose fit went as far as it may."""
+    """Return the names of the parameters whose fit ended at a bound."""
     return [item.parameter for item in parameters if is_at_bound(item)]
