@@ -40,18 +40,18 @@ def mended_picture(
     name : name of the fault; for one of `OVER_TIME` the error is multiplied by the sign of the slope, over time.
     before, after : the same runs as logged and as mended.
     """
-    groups: dict[tuple[str, str, str], list[Off]] = {}
+    groups: dict[tuple[str, str, str, str], list[Off]] = {}
     for logged, mended in zip(before, after, strict=True):
         pairs = {(pair.key, pair.reference_label): pair for pair in every_pair(logged, model)}
         for pair in every_pair(mended, model):
             if (rows := rows_of(logged, mended, pairs.get((pair.key, pair.reference_label)), pair)) is not None:
-                groups.setdefault((pair.key[0], pair.reference_label, mended.mechanical), []).append(rows)
+                groups.setdefault((*pair.key, pair.reference_label, mended.mechanical), []).append(rows)
     shares = {key: share_of(group) for key, group in groups.items()}
     if not shares:
         return None
     worst_channel = max(shares, key=lambda key: shares[key])
-    role = groups[worst_channel][0].pair.key[1]
-    picture = drawn_of(groups[worst_channel], (worst_channel[0], role, worst_channel[2]), name in OVER_TIME, after)
+    quantity, role, _, mechanical = worst_channel
+    picture = drawn_of(groups[worst_channel], (quantity, role, mechanical), name in OVER_TIME, after)
     return None if picture is None else (picture, shares[worst_channel])
 
 
