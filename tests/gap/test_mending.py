@@ -28,3 +28,12 @@ def test_a_reversed_load_velocity_is_drawn_as_the_loads_beside_a_bad_velocity_of
     picture, share = mended_picture("channel_sign", [logged], [mended], model())
     assert (picture.quantity, picture.role) == LOAD_VELOCITY
     assert share > 0.99
+
+
+def test_runs_of_different_rates_are_drawn_over_their_own_time():
+    mended = [swinging(interval, "free") for interval in (1e-3, 0.02)]
+    late = [np.roll(run.fast.values[VELOCITY], round(0.1 / run.fast.interval)) for run in mended]
+    logged = [with_values(run, {VELOCITY: values}) for run, values in zip(mended, late, strict=True)]
+    picture, _ = mended_picture("clock_drift", logged, mended, model())
+    assert picture.variable == "time"
+    assert 0.9 * SECONDS < picture.bins[-1].high <= SECONDS

@@ -28,6 +28,7 @@ class Off:
     before: Array
     after: Array
     at: npt.NDArray[np.intp]  # samples of the run
+    interval: float  # s, of the mended run
 
 
 def mended_picture(
@@ -51,7 +52,7 @@ def mended_picture(
         return None
     worst_channel = max(shares, key=lambda key: shares[key])
     quantity, role, _, mechanical = worst_channel
-    picture = drawn_of(groups[worst_channel], (quantity, role, mechanical), name in OVER_TIME, after)
+    picture = drawn_of(groups[worst_channel], (quantity, role, mechanical), name in OVER_TIME)
     return None if picture is None else (picture, shares[worst_channel])
 
 
@@ -68,7 +69,7 @@ def rows_of(logged: Record, mended: Record, before: ExpectedChannel | None, afte
     valid = logged.fast.all_valid(*before.inputs) & mended.fast.all_valid(*after.inputs)
     errors = [smooth(pair.measured) - smooth(pair.expected) for pair in (before, after)]
     samples = np.flatnonzero(valid)
-    return Off(after, errors[0][samples], errors[1][samples], samples) if len(samples) else None
+    return Off(after, errors[0][samples], errors[1][samples], samples, mended.fast.interval) if len(samples) else None
 
 
 def sides_of(group: Sequence[Off]) -> tuple[list[Array], list[Array]]:
@@ -87,19 +88,15 @@ def drawn_over(pair: ExpectedChannel) -> Array:
     return smooth(pair.expected if pair.drawn_over is None else pair.drawn_over)
 
 
-def drawn_of(
-    group: Sequence[Off], channel: tuple[str, str, str], over_time: bool, records: Sequence[Record]
-) -> Picture | None:
+def drawn_of(group: Sequence[Off], channel: tuple[str, str, str], over_time: bool) -> Picture | None:
     """Return the picture of a channel's error in bins of its `variable`, or of time; None with too few bins."""
-    intervals = {id(record.fast): record.fast.interval for record in records if record.fast is not None}
-    interval = float(np.median(list(intervals.values())))
     signs = [
         np.sign(slope(smooth(off.pair.expected), 1.0))[off.at] if over_time else np.ones(len(off.at)) for off in group
     ]
     before, after = (
         np.concatenate([off * sign for off, sign in zip(side, signs, strict=True)]) for side in sides_of(group)
     )
-    values = np.concatenate([interval * off.at if over_time else drawn_over(off.pair)[off.at] for off in group])
+    values = np.concatenate([off.interval * off.at if over_time else drawn_over(off.pair)[off.at] for off in group])
     stretches = np.concatenate(
         [number * STRETCHES + off.at * STRETCHES // (int(off.at[-1]) + 1) for number, off in enumerate(group)]
     )
