@@ -36,4 +36,5 @@ def test_runs_of_different_rates_are_drawn_over_their_own_time():
     logged = [with_values(run, {VELOCITY: values}) for run, values in zip(mended, late, strict=True)]
     picture, _ = mended_picture("clock_drift", logged, mended, model())
     assert picture.variable == "time"
+    assert picture.along == "rate of change of the value expected from the angle"
     assert 0.9 * SECONDS < picture.bins[-1].high <= SECONDS

@@ -1,4 +1,7 @@
-"""Measure the gap that a fault of the set-up opens: a channel minus its expected value, as logged and mended."""
+"""Compare a channel with its expected value, as logged and as mended, and draw both errors.
+
+Of all channels, the one whose squared error loses the largest share by mending is drawn.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -18,17 +21,18 @@ from leactl.vocabulary.variable import VARIABLES, Variable
 
 Array = npt.NDArray[np.float64]
 OVER_TIME = {"clock_drift", "dropped_samples", "frozen_channel", "repeated_samples", "clipped_channel"}
+FEWEST_EDGES = 3  # of two bins; a picture of one bin shows no shape
 
 
 @dataclass(frozen=True, eq=False)
-class Off:
-    """Error of a channel of a run against its expected value, as logged and mended."""
+class ChannelError:
+    """Error of a channel of one run against its expected value, as logged and as mended; shape (samples,)."""
 
     pair: ExpectedChannel  # of the mended run
-    before: Array
-    after: Array
-    at: npt.NDArray[np.intp]  # samples of the run
-    interval: float  # s, of the mended run
+    logged: Array
+    mended: Array
+    samples: npt.NDArray[np.intp]  # indices in the run at which both errors are known
+    interval: float  # s, between samples of the mended run
 
 
 def mended_picture(
@@ -41,19 +45,20 @@ def mended_picture(
     name : name of the fault; for one of `OVER_TIME` the error is multiplied by the sign of the slope, over time.
     before, after : the same runs as logged and as mended.
     """
-    groups: dict[tuple[str, str, str, str], list[Off]] = {}
+    groups: dict[tuple[str, str, str, str], list[ChannelError]] = {}  # by quantity, role, reference and set-up
     for logged, mended in zip(before, after, strict=True):
         pairs = {(pair.key, pair.reference_label): pair for pair in every_pair(logged, model)}
         for pair in every_pair(mended, model):
-            if (rows := rows_of(logged, mended, pairs.get((pair.key, pair.reference_label)), pair)) is not None:
-                groups.setdefault((*pair.key, pair.reference_label, mended.mechanical), []).append(rows)
-    shares = {key: share_of(group) for key, group in groups.items()}
+            error = channel_error(logged, mended, pairs.get((pair.key, pair.reference_label)), pair)
+            if error is not None:
+                groups.setdefault((*pair.key, pair.reference_label, mended.mechanical), []).append(error)
+    shares = {key: removed_share(group) for key, group in groups.items()}
     if not shares:
         return None
-    worst_channel = max(shares, key=lambda key: shares[key])
-    quantity, role, _, mechanical = worst_channel
-    picture = drawn_of(groups[worst_channel], (quantity, role, mechanical), name in OVER_TIME)
-    return None if picture is None else (picture, shares[worst_channel])
+    best_mended = max(shares, key=lambda key: shares[key])
+    quantity, role, _, mechanical = best_mended
+    picture = residual_picture(groups[best_mended], (quantity, role, mechanical), name in OVER_TIME)
+    return None if picture is None else (picture, shares[best_mended])
 
 
 def every_pair(record: Record, model: Model) -> Iterator[ExpectedChannel]:
@@ -62,46 +67,53 @@ def every_pair(record: Record, model: Model) -> Iterator[ExpectedChannel]:
     yield from modelled_pairs(record, model)
 
 
-def rows_of(logged: Record, mended: Record, before: ExpectedChannel | None, after: ExpectedChannel) -> Off | None:
-    """Return the error of a channel as logged and mended; None where one of both is not known."""
+def channel_error(
+    logged: Record, mended: Record, before: ExpectedChannel | None, after: ExpectedChannel
+) -> ChannelError | None:
+    """Return the error of a channel as logged and as mended; None if either is not known at any sample."""
     if before is None or logged.fast is None or mended.fast is None:
         return None
     valid = logged.fast.all_valid(*before.inputs) & mended.fast.all_valid(*after.inputs)
     errors = [smooth(pair.measured) - smooth(pair.expected) for pair in (before, after)]
     samples = np.flatnonzero(valid)
-    return Off(after, errors[0][samples], errors[1][samples], samples, mended.fast.interval) if len(samples) else None
+    if not len(samples):
+        return None
+    return ChannelError(after, errors[0][samples], errors[1][samples], samples, mended.fast.interval)
 
 
-def sides_of(group: Sequence[Off]) -> tuple[list[Array], list[Array]]:
-    """Return the errors of a channel in every run, before and after mending."""
-    return [rows.before for rows in group], [rows.after for rows in group]
+def removed_share(group: Sequence[ChannelError]) -> float:
+    """Return the share of a channel's squared error in all runs that mending removes; 0 without an error as logged."""
+    logged_square = sum(float(np.sum(error.logged**2)) for error in group)
+    mended_square = sum(float(np.sum(error.mended**2)) for error in group)
+    return 1.0 - mended_square / logged_square if logged_square > 0.0 else 0.0
 
 
-def share_of(group: Sequence[Off]) -> float:
-    """Return the share of a channel's squared error that mending removes."""
-    squares_before, squares_after = (sum(float(np.sum(error**2)) for error in side) for side in sides_of(group))
-    return 1.0 - squares_after / squares_before if squares_before > 0.0 else 0.0
+def values_drawn_over(error: ChannelError, over_time: bool) -> Array:
+    """Return the values over which an error is drawn: time since the run's first sample [s], or the pair's variable."""
+    if over_time:
+        return np.asarray(error.interval * error.samples, np.float64)
+    pair = error.pair
+    return smooth(pair.expected if pair.drawn_over is None else pair.drawn_over)[error.samples]
 
 
-def drawn_over(pair: ExpectedChannel) -> Array:
-    """Return the values of the variable that the error of a channel is drawn over."""
-    return smooth(pair.expected if pair.drawn_over is None else pair.drawn_over)
+def residual_picture(group: Sequence[ChannelError], channel: tuple[str, str, str], over_time: bool) -> Picture | None:
+    """Return the picture of a channel's error in bins of its `variable`, or of time; None with too few bins.
 
-
-def drawn_of(group: Sequence[Off], channel: tuple[str, str, str], over_time: bool) -> Picture | None:
-    """Return the picture of a channel's error in bins of its `variable`, or of time; None with too few bins."""
+    `channel` is quantity, role and mechanical set-up. Over time, an error is multiplied by the sign of the slope of
+    the expected value, so that a channel that is late has the same sign in both directions.
+    """
     signs = [
-        np.sign(slope(smooth(off.pair.expected), 1.0))[off.at] if over_time else np.ones(len(off.at)) for off in group
+        np.sign(slope(smooth(error.pair.expected), 1.0))[error.samples] if over_time else np.ones(len(error.samples))
+        for error in group
     ]
-    before, after = (
-        np.concatenate([off * sign for off, sign in zip(side, signs, strict=True)]) for side in sides_of(group)
-    )
-    values = np.concatenate([off.interval * off.at if over_time else drawn_over(off.pair)[off.at] for off in group])
+    before = np.concatenate([error.logged * sign for error, sign in zip(group, signs, strict=True)])
+    after = np.concatenate([error.mended * sign for error, sign in zip(group, signs, strict=True)])
+    values = np.concatenate([values_drawn_over(error, over_time) for error in group])
     stretches = np.concatenate(
-        [number * STRETCHES + off.at * STRETCHES // (int(off.at[-1]) + 1) for number, off in enumerate(group)]
+        [run * STRETCHES + error.samples * STRETCHES // (int(error.samples[-1]) + 1) for run, error in enumerate(group)]
     )
     edges = bin_edges(values, before - after, bin_count(float(len(np.unique(stretches)))))
-    if len(edges) < 3:
+    if len(edges) < FEWEST_EDGES:
         return None
     bin_of_row, bins = bin_of(values, edges), len(edges) - 1
     binned_sides = [means(error, bin_of_row, stretches, bins) for error in (before, after)]
@@ -119,7 +131,7 @@ def drawn_of(group: Sequence[Off], channel: tuple[str, str, str], over_time: boo
         variable,
         VARIABLES[variable].units,
         None,
-        f"change of what {pair.reference_label} makes of it" if over_time else None,
+        f"rate of change of the value expected from {pair.reference_label}" if over_time else None,
         *channel,
         "set-up",
         UNITS[channel[0]],
