@@ -15,6 +15,7 @@ from leactl.model.thermal_network import Conductances
 Array = npt.NDArray[np.float64]
 TURNING, STANDING = 1.0 / 3.0, 2.0 / 3.0  # share of the copper heat in the hottest phase
 STEADY_STATE = np.inf  # s, duration of the continuous current
+HIGHEST_CURRENT = 1e12  # A, up to which a current is searched; a millisecond in a milliohm needs below 1e6
 RUNAWAY_RISE = 1e6  # K, returned for a winding whose temperature has no steady state
 
 
@@ -40,7 +41,8 @@ def current_held(winding: Winding, rise: float, ambient: float, duration: float,
 
     Returns
     -------
-    The current; NaN if `rise` is not positive, or if a parameter of the winding is NaN.
+    The current; NaN if `rise` is not positive, if no current heats the winding as far, as with a resistance or a
+    duration of zero, or if a parameter of the winding is NaN.
     """
     from scipy.optimize import brentq
 
@@ -52,6 +54,8 @@ def current_held(winding: Winding, rise: float, ambient: float, duration: float,
     upper_current = 1.0
     while excess_rise(upper_current) < 0.0:
         upper_current *= 2.0
+        if upper_current > HIGHEST_CURRENT:
+            return float("nan")
     return float(brentq(excess_rise, 0.0, upper_current, xtol=1e-9 * upper_current))
 
 

@@ -19,6 +19,11 @@ def test_a_winding_without_a_number_carries_no_number(duration, name):
     assert math.isnan(current_held(replace(WINDING, **{name: math.nan}), 80.0, 25.0, duration))
 
 
+@pytest.mark.parametrize(("changes", "duration"), [({"phase_resistance": 0.0}, STEADY_STATE), ({}, 0.0)])
+def test_a_winding_that_nothing_heats_has_no_current(changes, duration):
+    assert math.isnan(current_held(replace(WINDING, **changes), 80.0, 25.0, duration))
+
+
 def test_a_current_held_for_long_is_the_one_held_for_ever():
     assert current_held(WINDING, 80.0, 25.0, 1e5) == pytest.approx(
         current_held(WINDING, 80.0, 25.0, STEADY_STATE), rel=1e-6
