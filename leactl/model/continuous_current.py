@@ -20,8 +20,8 @@ RUNAWAY_RISE = 1e6  # K, returned for a winding whose temperature has no steady 
 
 
 @dataclass(frozen=True)
-class Winding:
-    """Thermal network of a winding, and its resistance as a function of temperature."""
+class ThermalActuator:
+    """Thermal network of winding and housing, and the resistance of a phase as a function of temperature."""
 
     network: Conductances
     phase_resistance: float  # ohm, at the reference temperature
@@ -29,7 +29,9 @@ class Winding:
     reference_temperature: float  # degC
 
 
-def current_held(winding: Winding, rise: float, ambient: float, duration: float, share: float = TURNING) -> float:
+def current_for_rise(
+    actuator: ThermalActuator, rise: float, ambient: float, duration: float, share: float = TURNING
+) -> float:
     """Return the constant q-axis current [A] that heats the hottest phase from ambient by `rise` in `duration`.
 
     Parameters
@@ -42,12 +44,12 @@ def current_held(winding: Winding, rise: float, ambient: float, duration: float,
     Returns
     -------
     The current; NaN if `rise` is not positive, if no current heats the winding as far, as with a resistance or a
-    duration of zero, or if a parameter of the winding is NaN.
+    duration of zero, or if a parameter of the actuator is NaN.
     """
     from scipy.optimize import brentq
 
     def excess_rise(current: float) -> float:
-        return hottest_rise(winding, current, ambient, duration, share) - rise
+        return hottest_rise(actuator, current, ambient, duration, share) - rise
 
     if not excess_rise(0.0) < 0.0:
         return float("nan")
@@ -59,38 +61,37 @@ def current_held(winding: Winding, rise: float, ambient: float, duration: float,
     return float(brentq(excess_rise, 0.0, upper_current, xtol=1e-9 * upper_current))
 
 
-def hottest_rise(winding: Winding, current: float, ambient: float, duration: float, share: float) -> float:
+def hottest_rise(actuator: ThermalActuator, current: float, ambient: float, duration: float, share: float) -> float:
     """Return the rise [K] of the hottest phase above ambient, after `duration` [s] from ambient temperature.
 
     At most `RUNAWAY_RISE`, which is also returned if the temperature has no steady state; NaN if a parameter is NaN.
     """
     from scipy.linalg import expm
 
-    network = winding.network
-    heat = (
-        winding.phase_resistance * current**2 * np.array([share, 1.0 - share, 0.0])
-    )  # the other two phases as one node
+    network = actuator.network
+    shares = np.array([share, 1.0 - share, 0.0])  # of the hottest phase, the other two as one node, and the housing
+    heat = actuator.phase_resistance * current**2 * shares
     capacitances = np.array(
         [network.winding_capacitance / 3, 2 * network.winding_capacitance / 3, network.housing_capacitance]
     )
     thirds = np.array([1.0, 2.0]) / 3.0
-    flows = np.diag(
+    conductance_matrix = np.diag(
         [
             *(thirds * (network.winding_ambient + network.winding_housing)),
             network.winding_housing + network.housing_ambient,
         ]
     )
-    flows[:2, 2] = flows[2, :2] = -thirds * network.winding_housing
-    resistance_factor = 1.0 + winding.resistance_coefficient * (ambient - winding.reference_temperature)
-    rates = (np.diag(winding.resistance_coefficient * heat) - flows) / capacitances[:, None]
-    cold_rates = heat * resistance_factor / capacitances
-    if not (np.isfinite(rates).all() and np.isfinite(cold_rates).all()):
+    conductance_matrix[:2, 2] = conductance_matrix[2, :2] = -thirds * network.winding_housing
+    resistance_factor = 1.0 + actuator.resistance_coefficient * (ambient - actuator.reference_temperature)
+    rates = (np.diag(actuator.resistance_coefficient * heat) - conductance_matrix) / capacitances[:, None]
+    heating_at_ambient = heat * resistance_factor / capacitances
+    if not (np.isfinite(rates).all() and np.isfinite(heating_at_ambient).all()):
         return float("nan")
     if np.isinf(duration):
         stable = np.max(np.linalg.eigvals(rates).real) < 0.0
-        return float(min(np.linalg.solve(-rates, cold_rates)[0], RUNAWAY_RISE)) if stable else RUNAWAY_RISE
+        return float(min(np.linalg.solve(-rates, heating_at_ambient)[0], RUNAWAY_RISE)) if stable else RUNAWAY_RISE
     augmented = np.zeros((4, 4))
-    augmented[:3, :3], augmented[:3, 3] = rates, cold_rates
+    augmented[:3, :3], augmented[:3, 3] = rates, heating_at_ambient
     with np.errstate(over="ignore", invalid="ignore"):
         hottest = float(expm(augmented * duration)[0, 3])
     return min(hottest, RUNAWAY_RISE) if np.isfinite(hottest) else RUNAWAY_RISE  # the exponential overflows

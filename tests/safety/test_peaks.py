@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from leactl.model.continuous_current import STANDING, TURNING, Winding, current_held
+from leactl.model.continuous_current import STANDING, TURNING, ThermalActuator, current_for_rise
 from leactl.model.motor import load_motor
 from leactl.model.thermal_network import Conductances
 from leactl.safety.thermal.box import Box
@@ -20,9 +20,11 @@ def exact(box, ends, limit, duration, share):
     """The current that an actuator at a corner of a box carries, as its drive reads it."""
     values = [getattr(getattr(box, name), end) for name, end in zip(NETWORK, ends, strict=True)]
     network = Conductances(*(1.0 / value for value in values[:3]), *values[3:])
-    winding = Winding(network, box.phase_resistance.high, box.resistance_coefficient.high, box.reference_temperature)
+    actuator = ThermalActuator(
+        network, box.phase_resistance.high, box.resistance_coefficient.high, box.reference_temperature
+    )
     ambient = AMBIENT + box.ambient_rise
-    return current_held(winding, limit - ambient, ambient, duration, share) / box.current_gain
+    return current_for_rise(actuator, limit - ambient, ambient, duration, share) / box.current_gain
 
 
 def test_what_is_guaranteed_is_carried_by_the_weakest_actuator():

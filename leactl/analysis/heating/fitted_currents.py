@@ -7,7 +7,7 @@ they are those of the actuator that was heated.
 from leactl.analysis.estimate import Estimate
 from leactl.analysis.heating.parameters import FittedParameters
 from leactl.analysis.heating.resistance import REFERENCE
-from leactl.model.continuous_current import STANDING, STEADY_STATE, TURNING, Winding, current_held
+from leactl.model.continuous_current import STANDING, STEADY_STATE, TURNING, ThermalActuator, current_for_rise
 
 PAPER_WINDING_LIMIT = 130.0  # degC, for a model that states none
 PEAKS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 60.0, 300.0)
@@ -28,8 +28,8 @@ def current_capability(
 
             def current(moved: FittedParameters, duration: float = duration, share: float = share) -> float:
                 cold = phase_of_line * float(moved.point[5])
-                winding = Winding(moved.network, cold, float(moved.point[6]), REFERENCE)
-                return current_held(winding, limit - ambient, ambient, duration, share)
+                actuator = ThermalActuator(moved.network, cold, float(moved.point[6]), REFERENCE)
+                return current_for_rise(actuator, limit - ambient, ambient, duration, share)
 
             estimates.append(parameters.estimate(kind + motion, "A", current))
     return estimates
