@@ -28,8 +28,8 @@ OUTDONE = 2.0  # smallest ratio of what a further effect explains to what free f
 def outdoes_free_forms(normal: Normal, hypothesis: Sequence[Candidate], candidate: Candidate) -> bool:
     """Return whether a candidate explains `OUTDONE` times as much as the free forms of a set, each beside the other.
 
-    Each explains the growth of the misfit of both together without it. Free forms count at least as much as noise lets
-    so many coefficients explain. The answer is yes where a set has no free form.
+    What either explains is the rise in misfit when it is removed from the fit with both. Free forms count at least as much
+    as noise lets so many coefficients explain. The answer is yes where a set has no free form.
     """
     if not hypothesis:
         return True
@@ -94,7 +94,8 @@ def add_free_form(
 ) -> int:
     """Add columns to a member: its parts times functions of one variable, as further coefficients.
 
-    Where every run shows the variable, there is one function less than knots: all together are the member itself.
+    If every run shows the variable, the first hat function is left out, because the hat functions sum to one and their
+    products with the member's part to that part itself.
 
     Parameters
     ----------
