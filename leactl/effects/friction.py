@@ -11,6 +11,9 @@ Array = npt.NDArray[np.float64]
 def friction_torque(model: Model, velocity: Array, sliding: Array) -> Array:
     """Return viscous and Coulomb friction torque [N*m], shape (samples,); a coefficient that the model lacks is 0.
 
-    velocity : rad/s. sliding : sign of the velocity, -1, 0 or 1, and smooth in between.
+    Parameters
+    ----------
+    velocity : rad/s, shape (samples,).
+    sliding : smoothed sign of the velocity, between -1 and 1, shape (samples,).
     """
     return (model.viscous_damping or 0.0) * velocity + (model.coulomb_friction or 0.0) * sliding

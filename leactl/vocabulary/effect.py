@@ -1,4 +1,7 @@
-"""Definitions of effects, read from the files beside this one."""
+"""Definitions of effects, read from YAML files.
+
+Those of leactl lie in `leactl/vocabulary/effects`, those of another package beside the modules of their effects.
+"""
 
 import math
 from functools import cache
@@ -30,15 +33,16 @@ class ParameterDefinition(BaseModel):
 
 DIMENSIONLESS = ("1", "rad", "share of the limit")
 """Units of parameters whose range holds for a machine of any size."""
-OF_ANY_MACHINE = (*DIMENSIONLESS, "K", "1/K")
-"""Units in which a size means the same on every machine: what insulation and magnets bear does not grow with it."""
+MACHINE_INDEPENDENT = (*DIMENSIONLESS, "K", "1/K")
+"""Units in which a size means the same on every machine: temperature limits do not depend on how large it is."""
 
 
 class Size(BaseModel):
     """A size of an effect in the unit that a diagnosis measures it in.
 
-    Where the unit has a dimension, the size is a multiple of the machine's own: of a torque its Coulomb friction, of a
-    current what makes that, of a time the interval between samples (`leactl.gap.signals.scales`).
+    A size whose unit has a dimension is a multiple of the machine's own unit (`leactl.gap.signals.scales`): a torque is
+    given in multiples of the machine's Coulomb friction, a current in multiples of the current that makes this torque,
+    a time in intervals between samples.
     """
 
     model_config = STRICT
@@ -51,39 +55,46 @@ Rig = Literal["bench", "joint", "servo"]
 
 
 class EffectDefinition(BaseModel):
-    """What an effect is, where it shows, what it is taken for, and which experiment shows it."""
+    """Definition of an effect; the fields are the keys of its file.
+
+    `shown_on` names the kinds of rig whose runs can show the effect, `shows_in` describes the signature in the data,
+    and `shown_by` the experiment that reveals it. `acts_over` is in order of preference: a picture of the effect is
+    drawn over the first of these variables that the effect's part in a channel follows. `faint` is the smallest
+    relevant size, given where the low end of the first parameter's range is not that size.
+    """
 
     model_config = STRICT
     effect: str
     family: Literal["machine", "sensor", "drive", "thermal"]
     meaning: str
     parameters: dict[str, ParameterDefinition] = Field(min_length=1)
-    acts_over: tuple[Variable, ...] = Field(min_length=1)  # of several, that which its own part in a channel follows
+    acts_over: tuple[Variable, ...] = Field(min_length=1)
     shown_on: tuple[Rig, ...] = Field(min_length=1)
     shows_in: str
     confused_with: str
     shown_by: str
-    faint: Size | None = None  # where the first parameter's `low` is not it
+    faint: Size | None = None
 
     @model_validator(mode="after")
-    def _is_worth_knowing_on_any_machine(self) -> "EffectDefinition":
+    def _has_a_smallest_relevant_size(self) -> "EffectDefinition":
         name, first = next(iter(self.parameters.items()))
-        if self.faint is None and not (first.units in OF_ANY_MACHINE and first.low > 0.0):
+        if self.faint is None and not (first.units in MACHINE_INDEPENDENT and first.low > 0.0):
             raise ValueError(
                 f"faint is missing, the smallest size worth knowing: {name} begins at {first.low:g} {first.units},"
-                " which is none on machines of any size; give faint: {size: ..., units: ...} in the machine's own unit"
+                " which cannot stand for it on machines of every size;"
+                " give faint: {size: ..., units: ...} in the machine's own unit"
             )
         return self
 
     @property
-    def worth_knowing(self) -> Size:
-        """The smallest size that a diagnosis is to find, in the machine's own unit."""
+    def smallest_relevant(self) -> Size:
+        """The smallest size that a diagnosis should find, in the machine's own unit."""
         first = next(iter(self.parameters.values()))
         return self.faint or Size(size=first.low, units=first.units)
 
     @property
     def largest(self) -> float:
-        """The largest size in which it is met, in units of its first parameter; infinite where that has a dimension."""
+        """The largest size that is met, in the unit of the first parameter; infinite where that has a dimension."""
         first = next(iter(self.parameters.values()))
         return first.high if first.units in DIMENSIONLESS else math.inf
 
@@ -108,7 +119,7 @@ def modules_of_others() -> dict[str, str]:
 
 
 def definition_file(name: str) -> Traversable:
-    """The file that defines an effect: of another package's, `NAME.yaml` beside its module."""
+    """The file `NAME.yaml` that defines an effect; it lies beside the module of an effect of another package."""
     module = modules_of_others().get(name)
     folder = resources.files("leactl.vocabulary") / "effects" if module is None else resources.files(package_of(module))
     return folder / f"{name}.yaml"

@@ -1,4 +1,4 @@
-"""Definitions of faults of a set-up, read from the files beside this one."""
+"""Definitions of faults of a set-up, read from the YAML files in `leactl/vocabulary/setup_faults`."""
 
 from functools import cache
 from importlib import resources
