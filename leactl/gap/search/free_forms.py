@@ -28,8 +28,8 @@ OUTDONE = 2.0  # smallest ratio of what a further effect explains to what free f
 def outdoes_free_forms(normal: Normal, hypothesis: Sequence[Candidate], candidate: Candidate) -> bool:
     """Return whether a candidate explains `OUTDONE` times as much as the free forms of a set, each beside the other.
 
-    What either explains is the rise in misfit when it is removed from the fit with both. Free forms count at least as much
-    as noise lets so many coefficients explain. The answer is yes where a set has no free form.
+    What either explains is the rise in misfit when it is removed from the fit with both. Free forms count at least as
+    much as noise lets so many coefficients explain. The answer is yes where a set has no free form.
     """
     if not hypothesis:
         return True
