@@ -165,6 +165,28 @@ def test_gain_and_phase_of_an_excitation(bench, kind):
     assert {"frequency [Hz]"} <= set(next(grid for grid in result.grids if "response" in grid.name).axes)
 
 
+@pytest.mark.parametrize("kind", ["noise", "chirp", "multisine"])
+def test_the_phase_of_a_delay_is_unwrapped_alike_in_results_grid_and_plot(bench, kind):
+    time, given, answer = first_order(kind, corner_hz=8.0, rate=RATE)
+    late, noise = (
+        16,
+        np.random.default_rng(5).normal(0.0, 0.3 * np.std(answer), len(time)),
+    )  # noise hides some frequencies
+    columns = {"velocity_reference": given, "torque": np.roll(answer, late) + noise}
+    steps = [(kind, 1.0, float(time[-1]) + 1 / RATE, 0.0, {"role": "test"})]
+    result = analyze_runs([bench.write("bespoke", time, columns, steps, protocol="name: bespoke\n")])
+    [grid] = [grid for grid in result.grids if "response" in grid.name]
+    frequency, phase = np.array(grid.axes["frequency [Hz]"]), np.array(grid.values["phase [rad]"][0])
+    truth = -2.0 * np.pi * frequency * late / RATE - np.arctan(frequency / 8.0)
+    assert truth.min() < -2.0 * np.pi
+    assert np.abs(phase - truth).max() < np.pi
+    [plot] = [plot for plot in result.plots if "phase" in plot.y_label]
+    assert set(plot.points[0].y) <= set(phase.tolist())
+    estimates = [item.value for item in result.results if "_phase_at_" in item.name]
+    assert len(estimates) == 5
+    assert set(estimates) <= set(phase.tolist())
+
+
 @pytest.mark.parametrize("scale", [1.0, 40.0])
 def test_a_multisine_says_nothing_between_and_beyond_its_lines(bench, scale):
     time = np.arange(4000) / (RATE * scale)

@@ -112,3 +112,22 @@ class Response(NamedTuple):
     def gain(self) -> Array:
         """Return the magnitude of the response."""
         return np.abs(self.value)
+
+    @property
+    def phase(self) -> Array:
+        """Return the phase [rad], unwrapped from the lowest frequency on, where it is from -pi to pi.
+
+        The mean delay between neighbours on the grid is subtracted first and added again after. If frequencies are
+        missing, the phase changes by that delay over the gap; plain unwrapping would lose whole turns there.
+        """
+        principal, steps = np.angle(self.value), np.diff(self.frequency)
+        if not len(steps):
+            return principal
+        neighbours = steps < 1.5 * steps.min()
+        turns = np.sum(np.exp(1j * np.diff(principal))[neighbours])
+        linear = np.angle(turns) / steps.min() * (self.frequency - self.frequency[0])
+        return np.asarray(np.unwrap(principal - linear) + linear, np.float64)
+
+    def at(self, known: Mask) -> "Response":
+        """Return the response at the frequencies at which a mask is true."""
+        return Response(self.frequency[known], self.value[known], self.coherence[known], self.relative_std[known])

@@ -95,7 +95,7 @@ def response_of(setpoint: Channel, channel: Channel, step: Step) -> Response | s
     known &= (response.frequency >= method.resolved) & (response.frequency < method.highest)
     if not known.any():
         return f"no frequency with a coherence of {LEAST_COHERENCE:g} or more"
-    return Response(*(column[known] for column in response))
+    return response.at(known)
 
 
 def excited_frequencies(reference: Array, interval: float, frequency: Array, resolved: float) -> Mask:
@@ -113,10 +113,10 @@ def gain_and_phase_estimates(title: str, response: Response, units: str) -> list
     """Estimate gain and phase at `LISTED_FREQUENCIES` known frequencies, nearest to evenly spaced ones in logarithm."""
     even = np.geomspace(response.frequency[0], response.frequency[-1], LISTED_FREQUENCIES)
     indices = dict.fromkeys(int(np.argmin(np.abs(response.frequency - frequency))) for frequency in even)
-    estimates = []
+    estimates, phases = [], response.phase
     for index in indices:
         suffix = f"at_{response.frequency[index]:.4g}_Hz"
-        gain, phase = float(response.gain[index]), float(np.angle(response.value[index]))
+        gain, phase = float(response.gain[index]), float(phases[index])
         std = float(response.relative_std[index])
         half = std * t_quantile(np.inf)
         low = max(gain * (1.0 - half), 0.0)
@@ -129,7 +129,7 @@ def response_plots(title: str, response: Response, units: str) -> list[Plot]:
     """Return plots of gain, phase and coherence over frequency."""
     shown = plotted(len(response.frequency), MOST_POINTS)
     x = tuple(response.frequency[shown].tolist())
-    columns = {f"gain [{units}]": response.gain, "phase [rad]": np.unwrap(np.angle(response.value))}
+    columns = {f"gain [{units}]": response.gain, "phase [rad]": response.phase}
     columns["coherence [1]"] = response.coherence
     plot = Plot("frequency [Hz]", "", (), (), x_log=True)
     return [
@@ -143,7 +143,7 @@ def response_grid(title: str, step: Step, response: Response, units: str) -> Gri
     axes = {"start [s]": (step.start,), "frequency [Hz]": tuple(response.frequency.tolist())}
     columns = {
         f"gain [{units}]": response.gain,
-        "phase [rad]": np.unwrap(np.angle(response.value)),
+        "phase [rad]": response.phase,
         "relative half width of gain, half width of phase [rad]": t_quantile(np.inf) * response.relative_std,
         "coherence [1]": response.coherence,
     }

@@ -134,7 +134,8 @@ def plots_of(responses: Mapping[float, Response], known: Mapping[float, Mask], u
         for side in (-1.96, 1.96):
             limit = np.maximum(shown * (1.0 + side * response.relative_std), 1e-6)
             limits.append(Series(f"{label}, 95 %", x, _tuple(20.0 * np.log10(limit)[shown_points])))
-        phase = np.where(known[level], np.unwrap(np.angle(response.value)), NAN)
+        phase = np.full(len(response.frequency), NAN)
+        phase[known[level]] = response.at(known[level]).phase
         phases.append(Series(label, x, _tuple(np.degrees(phase)[shown_points])))
         coherences.append(Series(label, x, _tuple(response.coherence[shown_points])))
     x_range = (0.0, max(series.x[-1] for series in gains))
