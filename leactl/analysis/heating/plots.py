@@ -39,10 +39,12 @@ def plots_of(fit: NetworkFit, line: ResistanceLine, currents: Sequence[Estimate]
 
 
 def drawn(label: str, x: Array, y: Array) -> Series:
-    """Return a curve of at most `MOST_POINTS` points, each the mean over an even part of the finite values."""
+    """Return a curve of at most `MOST_POINTS` points, each the mean over an even part of the finite values, if any."""
     finite = np.isfinite(y)
     x, y = x[finite], y[finite]
-    parts = [indices for indices in np.array_split(np.arange(len(x)), min(MOST_POINTS, len(x))) if len(indices)]
+    if not len(x):
+        return Series(label, (), ())
+    parts = np.array_split(np.arange(len(x)), min(MOST_POINTS, len(x)))
     return Series(
         label,
         tuple(float(np.mean(x[indices])) for indices in parts),
