@@ -108,7 +108,7 @@ def test_the_uncertainty_of_the_torque_constant_adds_in_squares(bench):
     ("how", "words"),
     [
         ({"f": 5.0}, r"found 0 levels of current at which the rotor turned steadily \(30 holds: the rotor did not"),
-        ({"levels": (0.6,)}, "found 1 levels of current|one level of current"),
+        ({"levels": (0.6,)}, "found 1 levels of current|found one level"),
         ({"levels": (0.0, 0.6), "signs": (1,)}, "found 1 levels of current at which the rotor turned steadily"),
         ({"torque_constant": None}, "found no model; a torque constant is needed, give --torque-constant"),
         ({"torque_constant": 1e308}, r"found a model whose torque_constant is 1e\+308; a torque constant is needed"),

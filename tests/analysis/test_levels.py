@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from leactl.analysis.signals.levels import settled_mean, standard_error
+from leactl.analysis.signals.levels import Hold, HoldMeans, require_levels, settled_mean, standard_error
+from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel
 
 
@@ -58,3 +59,17 @@ def test_missed_samples_are_counted_and_not_averaged():
 @pytest.mark.parametrize("stop", [2.0, 40.0])
 def test_too_few_samples_or_a_record_that_ends_too_soon_give_no_mean(stop):
     assert settled_mean(channel(np.arange(10.0), np.arange(10.0)), 0.0, stop) is None
+
+
+def hold_means(setpoint, unit):
+    """Two holds at one setpoint, of a velocity."""
+    holds = tuple(Hold(setpoint, 0, start, start + 1.0, unit) for start in (0.0, 1.0))
+    column = np.array([setpoint, setpoint])
+    return HoldMeans(
+        np.zeros(2, int), column, np.zeros(2, int), {"velocity": column}, {"velocity": 0.0 * column}, {}, holds, {}
+    )
+
+
+def test_one_level_is_refused_in_the_unit_of_its_setpoint():
+    with pytest.raises(NotIdentifiable, match=r"run\.h5: found one level \(20 rad/s in 2 holds\); two distinct levels"):
+        require_levels("run.h5", "velocity", "velocity", hold_means(20.0, "rad/s"))

@@ -152,7 +152,7 @@ def test_a_coarse_sensor_may_read_the_same_again(bench):
 @pytest.mark.parametrize(
     ("how", "fault", "words"),
     [
-        ({"levels": (4.9,)}, NotIdentifiable, r"found one level of current \(4.9 A in 6 holds\); two distinct levels"),
+        ({"levels": (4.9,)}, NotIdentifiable, r"found one level \(4.9 A in 6 holds\); two distinct levels"),
         (
             {"levels": (4.9, 9.8), "trials": 1, "sides": ("rising",)},
             NotIdentifiable,

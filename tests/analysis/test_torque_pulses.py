@@ -78,7 +78,7 @@ def test_levels_at_the_sensor_s_end_do_not_count(bench):
     ("how", "words"),
     [
         ({"levels": (10.0, 20.0, 28.0)}, "found 3 magnitudes of current; 5 or more are needed"),
-        ({"levels": (10.0,), "signs": (1,)}, "one level of current"),
+        ({"levels": (10.0,), "signs": (1,)}, r"found one level \(10 A in 4 holds"),
         ({"key": "velocity_rad_s"}, "no step named 'hold' with current_A"),
     ],
 )

@@ -102,7 +102,7 @@ def test_a_torque_constant_of_ones_own(bench):
             "--set torque_constant: given twice",
         ),
         (["still.h5"], "still.h5: friction: found 0 levels of current at which the rotor turned steadily"),
-        (["one.h5"], "one.h5: torque constant: found one level of current (4.9 A in 6 holds)"),
+        (["one.h5"], "one.h5: torque constant: found one level (4.9 A in 6 holds)"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

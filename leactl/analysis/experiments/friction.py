@@ -222,7 +222,7 @@ def line_of_both_directions(levels: HoldMeans, torque: Array, sign: Array, error
     for direction in DIRECTIONS.values():
         one_way = levels.where(sign == direction)
         try:
-            require_levels(error_prefix, "velocity", one_way.setpoint, one_way.value[VELOCITY], one_way.std[VELOCITY])
+            require_levels(error_prefix, "velocity", VELOCITY, one_way)
         except NotIdentifiable as fault:
             faults.append(fault)
     if len(faults) == len(DIRECTIONS):
@@ -240,7 +240,7 @@ def line_of_direction(
     one_way = levels.where(in_direction)
     velocity = one_way.value[VELOCITY]
     try:
-        require_levels(error_prefix, "velocity", one_way.setpoint, velocity, one_way.std[VELOCITY])
+        require_levels(error_prefix, "velocity", VELOCITY, one_way)
         return fit_lines({"viscous_damping": velocity}, torque[in_direction], one_way, error_prefix)
     except NotIdentifiable as fault:
         return fault

@@ -115,7 +115,7 @@ def torque_levels(runs: Sequence[Run], error_prefix: str) -> Noted[HoldMeans]:
     gathered = gather_means(runs, (CURRENT, TORQUE), usable_channel)
     directed = with_direction(gathered.value)
     levels = directed.value
-    require_levels(error_prefix, "current", levels.setpoint, levels.value[CURRENT], levels.std[CURRENT])
+    require_levels(error_prefix, "current", CURRENT, levels)
     return Noted(levels, (*gathered.notes, *directed.notes))
 
 
@@ -143,7 +143,7 @@ def slopes_by_side(levels: HoldMeans, error_prefix: str, relative_std: float) ->
         side = levels.where(levels.direction == sign)
         columns = {"slope": side.value[CURRENT]}
         try:
-            require_levels(error_prefix, "current", side.setpoint, side.value[CURRENT], side.std[CURRENT])
+            require_levels(error_prefix, "current", CURRENT, side)
             line = fit_lines(columns, side.value[TORQUE], side, error_prefix)
         except NotIdentifiable as fault:
             notes.append(f"{name} levels alone give no slope: {str(fault).removeprefix(error_prefix + ': ')}")

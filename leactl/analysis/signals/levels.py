@@ -239,19 +239,23 @@ def standard_error(values: Array) -> float:
     return math.sqrt(square_sum / (count - 1) * max(correlation_samples, 1.0) / count)
 
 
-def require_levels(error_prefix: str, regressor: str, setpoints: Array, means: Array, errors: Array) -> None:
-    """Raise if the levels of a regressor, which is given by its name, do not determine a slope.
+def require_levels(error_prefix: str, regressor: str, quantity: str, levels: HoldMeans) -> None:
+    """Raise if the means of a regressor over one hold or more do not determine a slope.
 
-    Setpoints, means and their standard errors have shape (holds,).
+    Parameters
+    ----------
+    regressor : name of the regressor in messages.
+    quantity : key of its means and their standard errors in `levels`.
 
     Raises
     ------
     NotIdentifiable : fewer than two distinct setpoints, or means spread by at most `RESOLVED` times their error.
     """
-    distinct = np.unique(np.round(setpoints, 9))
+    means, errors = levels.value[quantity], levels.std[quantity]
+    distinct = np.unique(np.round(levels.setpoint, 9))
     if len(distinct) < 2:
         raise NotIdentifiable(
-            f"{error_prefix}: found one level of current ({distinct[0]:g} A in {len(setpoints)} holds); "
+            f"{error_prefix}: found one level ({distinct[0]:g} {levels.holds[0].unit} in {len(levels)} holds); "
             "two distinct levels or more are needed"
         )
     spread, error = float(np.std(means)), math.sqrt(float(np.mean(errors**2)))
