@@ -10,9 +10,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from leactl.analysis.quality.following import following
 from leactl.analysis.quality.hanging import RepeatedReading, hangs, longest_repeat, stands_while_companion_moves
 from leactl.analysis.quality.saturation import clipped
+from leactl.analysis.quality.setpoint_tracking import compare_with_demand
 from leactl.analysis.quality.sign_checks import SWAPPED
 from leactl.analysis.quality.wrong_units import LIMITS, beyond_limits
 from leactl.analysis.signals.levels import HoldSelector, samples_between
@@ -91,9 +91,13 @@ def notes_on_channel(run: Run, name: str, channel: Channel) -> Iterator[str]:
     if hanging_reason or (hanging_reason := standing(run, channel, repeat)):
         yield f"{opening} {hanging_reason}"
     demand = demand_of(run, channel)
-    answer = following(demand, channel.values, from_zero=channel.quantity != "angle") if demand is not None else None
-    if answer is not None and answer.fault == "unit":
-        yield f"{opening} is {answer.gain:.3g} times its demand: check its units"
+    tracking = (
+        compare_with_demand(demand, channel.values, from_zero=channel.quantity != "angle")
+        if demand is not None
+        else None
+    )
+    if tracking is not None and tracking.fault == "unit":
+        yield f"{opening} is {tracking.gain:.3g} times its demand: check its units"
     finite = np.flatnonzero(np.isfinite(channel.values))
     missing_share = float(np.mean(~np.isfinite(channel.values[finite[0] : finite[-1] + 1])))
     if missing_share > MISSING:
@@ -110,8 +114,8 @@ def contradiction(run: Run, channel: Channel) -> str:
     """Return the reason why a channel cannot be a measurement; empty if it can."""
     demand = demand_of(run, channel)
     if demand is not None:
-        answer = following(demand, channel.values, from_zero=channel.quantity != "angle")
-        fault = answer.fault if answer is not None else ""
+        tracking = compare_with_demand(demand, channel.values, from_zero=channel.quantity != "angle")
+        fault = tracking.fault if tracking is not None else ""
         largest = index_of_largest(demand)
         moment = f"{channel.time[largest]:.3g} s{step_at(run, channel, largest)}"
         demanded = f"{demand[largest]:.4g} {channel.units} were demanded at {moment}"
@@ -121,8 +125,8 @@ def contradiction(run: Run, channel: Channel) -> str:
         if fault == "dead":
             return f"does not follow its demand: it reads {reading} where {demanded}; is its sensor connected?"
     if channel.quantity in HEATED and len(other_places := neighbours(run, channel, region_of(channel))) > 1:
-        answer = following(np.median(other_places, axis=0), channel.values, from_zero=False)
-        if answer is not None and answer.fault == "opposite":
+        tracking = compare_with_demand(np.median(other_places, axis=0), channel.values, from_zero=False)
+        if tracking is not None and tracking.fault == "opposite":
             return f"falls where the {len(other_places)} other places of its region rise: its sign is turned"
     if channel.quantity in NEVER_ZERO and not np.any(np.nan_to_num(channel.values)):
         return f"reads exactly 0 {channel.units} throughout; is its sensor connected?"
