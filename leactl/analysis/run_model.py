@@ -8,7 +8,7 @@ from leactl import yamlfile
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
 
-LARGEST: Final = math.sqrt(sys.float_info.max)  # a number whose square is finite
+LARGEST_SQUARABLE: Final = math.sqrt(sys.float_info.max)  # a number whose square is finite
 
 
 def model_of(run: Run) -> dict[str, Any]:
@@ -25,15 +25,15 @@ def model_of(run: Run) -> dict[str, Any]:
 
 def rotor_inertia_of_model(run: Run) -> float:
     """Return the rotor inertia in a run's model [kg*m^2]; NaN where there is none."""
-    return positive(model_of(run).get("rotor_inertia"))
+    return positive_number(model_of(run).get("rotor_inertia"))
 
 
-def positive(entry: object) -> float:
+def positive_number(entry: object) -> float:
     """Return the entry of a model as a number above zero.
 
     NaN where it is no such number, or where its square overflows or underflows.
     """
-    if not isinstance(entry, int | float) or isinstance(entry, bool) or not 0 < entry <= LARGEST:
+    if not isinstance(entry, int | float) or isinstance(entry, bool) or not 0 < entry <= LARGEST_SQUARABLE:
         return math.nan
     return float(entry) if entry**2 > 0 else math.nan
 
@@ -46,7 +46,7 @@ def torque_constant_of_model(run: Run) -> float:
     NotIdentifiable : the run has no model, or its model has no torque constant above zero.
     """
     entry = model_of(run).get("torque_constant")
-    value = positive(entry)
+    value = positive_number(entry)
     if value > 0:
         return value
     source = "no model" if run.source("model") is None else f"a model whose torque_constant is {entry!r}"

@@ -8,7 +8,7 @@ import numpy as np
 from leactl.analysis.efficiency.operating_points import OTHER_ROLE, OperatingPoints
 from leactl.analysis.efficiency.power_balance import SENSE, PowerCalibration
 from leactl.analysis.estimate import Noted
-from leactl.analysis.quality.sign_checks import SWAPPED
+from leactl.analysis.quality.sign_checks import SIGN_SWAPPED
 from leactl.analysis.statistics.regression import least_squares
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.read.reader import Run
@@ -48,7 +48,7 @@ def refuse_swapped(points: OperatingPoints, error_prefix: str) -> None:
         faults.append("torque and velocity")
     if faults:
         raise InputError(
-            f"{error_prefix}: {' and '.join(faults)} have the signs of the other role in most points; {SWAPPED}"
+            f"{error_prefix}: {' and '.join(faults)} have the signs of the other role in most points; {SIGN_SWAPPED}"
         )
 
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Grid, Noted, Plot, Result, Series, listed, tally
-from leactl.analysis.quality.channel_plausibility import AT_REST
+from leactl.analysis.quality.channel_plausibility import CONSTANT_AT_REST
 from leactl.analysis.responses.channel_response import EXCITATIONS, gain_and_phase
 from leactl.analysis.signals.levels import FEWEST_SAMPLES, samples_between, settled_mean, standard_error
 from leactl.analysis.statistics.regression import CONFIDENCE, Array, t_quantile
@@ -118,7 +118,7 @@ def stuck_notes(run: Run, name: str, channel: Channel) -> Iterator[str]:
     readings = channel.values[np.isfinite(channel.values)]
     if channel.quantity not in NOISY or len(readings) < FEWEST_SAMPLES or np.any(readings != readings[0]):
         return
-    if readings[0] or channel.quantity not in AT_REST:
+    if readings[0] or channel.quantity not in CONSTANT_AT_REST:
         yield f"{run.path}: {name} reads exactly {readings[0]:.6g} {channel.units} throughout: is its sensor connected?"
 
 

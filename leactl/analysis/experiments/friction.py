@@ -14,7 +14,7 @@ import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, tally
 from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
-from leactl.analysis.quality.sign_checks import SWAPPED
+from leactl.analysis.quality.sign_checks import SIGN_SWAPPED
 from leactl.analysis.quality.usable_readings import usable_channel
 from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.run_model import torque_constant_of_model
@@ -182,7 +182,7 @@ def steady_holds(runs: Sequence[Run], levels: HoldMeans, error_prefix: str) -> N
     if turned.any() and (velocity * current < 0.0)[turned].all():
         raise InputError(
             f"{error_prefix}: the rotor turned against its current in all {turned.sum()} holds in which it turned;"
-            f" {SWAPPED}"
+            f" {SIGN_SWAPPED}"
         )
     reasons = {
         "the rotor did not turn": stood,

@@ -16,7 +16,7 @@ import numpy as np
 from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, listed
 from leactl.analysis.experiments.torque_constant import CURRENT, TORQUE
 from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
-from leactl.analysis.quality.sign_checks import SWAPPED
+from leactl.analysis.quality.sign_checks import SIGN_SWAPPED
 from leactl.analysis.quality.usable_readings import usable_channel, within_range
 from leactl.analysis.run_model import rotor_inertia_of_model
 from leactl.analysis.signals.corner import Mask, SpeedHolds, corner_speed, groups_of, repeats_of
@@ -136,7 +136,7 @@ def driving_holds(levels: HoldMeans, error_prefix: str) -> Noted[HoldMeans]:
     flows = levels.value[CURRENT] * levels.setpoint
     if np.mean(flows < 0.0) > 0.5:
         raise InputError(
-            f"{error_prefix}: the current is opposite to its setpoint in {(flows < 0.0).sum()} holds; {SWAPPED}"
+            f"{error_prefix}: the current is opposite to its setpoint in {(flows < 0.0).sum()} holds; {SIGN_SWAPPED}"
         )
     gives = (levels.value[TORQUE] * levels.value[VELOCITY] > 0.0) & (levels.setpoint * levels.value[VELOCITY] > 0.0)
     braking = [hold for hold, drove in zip(levels.holds, gives, strict=True) if not drove]

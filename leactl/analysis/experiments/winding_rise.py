@@ -15,7 +15,7 @@ from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series,
 from leactl.analysis.heating.record import AMBIENT, refuse_clipped, refuse_not_celsius
 from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
 from leactl.analysis.quality.wrong_units import unit_notes
-from leactl.analysis.run_model import model_of, positive
+from leactl.analysis.run_model import model_of, positive_number
 from leactl.analysis.statistics.intervals import half_width, quantisation_step, rounding_limit, rounding_std
 from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.analysis.statistics.regression import least_squares
@@ -237,7 +237,7 @@ def coefficient_of(run: Run) -> CopperCoefficient:
     InputError : a tolerance or a reference temperature out of range.
     """
     model = model_of(run)
-    coefficient = positive(model.get("resistance_coefficient"))
+    coefficient = positive_number(model.get("resistance_coefficient"))
     if math.isnan(coefficient):
         raise NotIdentifiable(f"{run.path}: its model has no resistance_coefficient; a rise cannot be told without")
     tolerances = model.get("tolerances")

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.analysis.estimate import NAN, Noted, listed
-from leactl.analysis.quality.channel_plausibility import hanging
+from leactl.analysis.quality.channel_plausibility import reason_for_hanging
 from leactl.analysis.quality.hanging import longest_repeat
-from leactl.analysis.quality.saturation import clipped
+from leactl.analysis.quality.saturation import clipping_value
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
 from leactl.model.thermal_network import ACTIVE_SHARE
 from leactl.runfile.read.reader import Channel, Run
@@ -223,7 +223,7 @@ def without_hanging(run: Run, channels: Sequence[Channel]) -> Noted[list[Channel
     """Leave out channels that hang; where all of them hang, replace only the repeated readings by NaN."""
     repeats = [longest_repeat(channel.values) for channel in channels]
     hanging_flags = [
-        repeat is not None and bool(hanging(run, channel, repeat))
+        repeat is not None and bool(reason_for_hanging(run, channel, repeat))
         for channel, repeat in zip(channels, repeats, strict=True)
     ]
     if not any(hanging_flags):
@@ -277,7 +277,7 @@ def refuse_exchanged(run: Run, warmer: Array, colder: Array, warmer_name: str, c
 
 def refuse_clipped(run: Run, channel: Channel) -> None:
     """Raise if a channel of the supply is clipped: the heat beyond its range is not known."""
-    range_end = clipped(channel)
+    range_end = clipping_value(channel)
     if range_end is not None:
         share = float(np.mean(channel.values == range_end))
         raise NotIdentifiable(
@@ -288,7 +288,7 @@ def refuse_clipped(run: Run, channel: Channel) -> None:
 
 def without_clipped(run: Run, channel: Channel) -> Noted[Channel]:
     """Replace readings at the end of a camera's range by NaN; a note says how many."""
-    range_end = clipped(channel)
+    range_end = clipping_value(channel)
     if range_end is None:
         return Noted(channel)
     at_end = channel.values == range_end

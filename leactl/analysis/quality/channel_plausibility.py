@@ -10,11 +10,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from leactl.analysis.quality.hanging import RepeatedReading, hangs, longest_repeat, stands_while_companion_moves
-from leactl.analysis.quality.saturation import clipped
+from leactl.analysis.quality.hanging import (
+    RepeatedReading,
+    hangs,
+    longest_repeat,
+    stands_while_companion_moves,
+)
+from leactl.analysis.quality.saturation import clipping_value
 from leactl.analysis.quality.setpoint_tracking import compare_with_demand
-from leactl.analysis.quality.sign_checks import SWAPPED
-from leactl.analysis.quality.wrong_units import LIMITS, beyond_limits
+from leactl.analysis.quality.sign_checks import SIGN_SWAPPED
+from leactl.analysis.quality.wrong_units import LIMIT_KEYS, beyond_limits
 from leactl.analysis.signals.levels import HoldSelector, samples_between
 from leactl.runfile.read.reader import Array, Channel, Run
 
@@ -23,42 +28,42 @@ DEMANDS = {
     "velocity": "velocity_reference",
     "angle": "angle_reference",
 }
-HELD = {"q_axis_current": "current_A", "velocity": "velocity_rad_s"}  # keys of the demand in the parameters of a hold
-TOGETHER = {  # partners: while one changes far, the other must change too
+HOLD_KEYS = {"q_axis_current": "current_A", "velocity": "velocity_rad_s"}  # of the demand among a hold's parameters
+PARTNERS = {  # while one changes far, the other must change too
     "line_voltage": "line_current",
     "line_current": "line_voltage",
     "phase_voltage_ab": "phase_voltage_bc",
     "phase_voltage_bc": "phase_voltage_ca",
     "phase_voltage_ca": "phase_voltage_ab",
 }
-LOOP = ("phase_voltage_ab", "phase_voltage_bc", "phase_voltage_ca")
-UNBALANCED = 0.3  # of a voltage between leads: gains of a data acquisition are a few percent apart
+VOLTAGE_LOOP = ("phase_voltage_ab", "phase_voltage_bc", "phase_voltage_ca")  # add up to zero
+MOST_UNBALANCE = 0.3  # of a voltage between leads, in their sum; gains of a data acquisition are a few percent apart
 FEWEST_VOLTAGES = 20  # readings of all three
-DRIVING = ("velocity", "angle")  # quantities that a drive controls by its current
-AT_REST = ("q_axis_current", "velocity", "angle")  # repeat their reading while the drive is off or the shaft stands
+CONTROLLED_BY_CURRENT = ("velocity", "angle")
+CONSTANT_AT_REST = ("q_axis_current", "velocity", "angle")  # while the drive is off or the shaft stands
 NEVER_NEGATIVE = ("bus_voltage",)
-HEATED = ("winding_temperature", "housing_temperature")  # all locations of a region warm and cool together
-SUPPLIED = ("line_current", "line_voltage")
+HEATED_QUANTITIES = ("winding_temperature", "housing_temperature")  # all locations of a region warm and cool together
+SUPPLY_QUANTITIES = ("line_current", "line_voltage")
 NEVER_ZERO = ("bus_voltage", "winding_temperature", "housing_temperature", "ambient_temperature", "drive_temperature")
 LONGEST_VOLTAGE_REPEAT = 0.25  # share of a record; across a warming winding, the voltage does not stay equal so long
 WARMEST_ROOM = 60.0  # degC; people and instruments work between 0 degC and this
 NOT_MEASURED = ("drive_enabled",)
-MISSING = 0.01  # of a channel's readings; a note names a larger share
-NEARLY_ALL = 0.99  # of a channel's readings: a repeat that is longer condemns the channel
-MOST_DIFFERENCE = 0.5  # between path and integral, over the larger of the two; the lag of a filter causes less
-LEAST_TRAVEL = 0.2  # of the largest travel in a part: with less, the zero of a tachometer may look like motion
-FEWEST_APART = 3  # parts of the record in which path and integral must disagree
-FEWEST_READINGS = 3  # of a channel: more are needed to say that it repeats one reading throughout
-PARTS = 64  # of a record, in each of which path and integral are compared
-COUNTS_OF_MOTION = 10.0  # counts of the encoder: with less travel, the shaft may stand
-SURE = 5.0  # standard deviations of the integrated noise of a velocity in a part: a probability of 1e-6 a part
+MOST_MISSING_SHARE = 0.01  # of a channel's readings; a note names a larger share
+CONDEMNING_REPEAT_SHARE = 0.99  # of a channel's readings; a longer repeat condemns the channel
+MOST_PATH_DIFFERENCE = 0.5  # of path and integral, over the larger of the two; the lag of a filter causes less
+LEAST_TRAVEL = 0.2  # of the largest travel in a part; in less, the zero error of a tachometer may look like motion
+FEWEST_CONTRADICTING_PARTS = 3  # parts of the record in which path and integral must disagree
+FEWEST_READINGS = 3  # of a channel; more are needed to say that it repeats one reading throughout
+MOTION_PARTS = 64  # of a record, in each of which path and integral are compared
+COUNTS_OF_MOTION = 10.0  # of the encoder; with less travel, the shaft may stand
+NOISE_STDS = 5.0  # of the integrated noise of a velocity in a part; more has a probability of 1e-6 a part
 
 
 def channel_doubts(run: Run) -> list[str]:
     """Return notes on the doubtful channels of a run; channels that contradict their demand are condemned."""
-    notes = beyond_limits([run], [name for name in LIMITS if run.channels(name)])
-    notes += [note for role in ("test", "load") for note in contradicting_motion(run, role)]
-    notes += [note for role in ("test", "load") for note in contradicting_voltages(run, role)]
+    notes = beyond_limits([run], [name for name in LIMIT_KEYS if run.channels(name)])
+    notes += [note for role in ("test", "load") for note in motion_contradictions(run, role)]
+    notes += [note for role in ("test", "load") for note in voltage_contradictions(run, role)]
     for stream, specs in run.streams.items():
         for channel_spec in specs:
             if (
@@ -78,17 +83,17 @@ def notes_on_channel(run: Run, name: str, channel: Channel) -> Iterator[str]:
     """Yield a note for each fault of one channel, and condemn the channel if it cannot be a measurement."""
     opening = f"{run.path}: {label_of(channel)}"
     repeat = longest_repeat(channel.values)
-    hanging_reason = hanging(run, channel, repeat) if repeat is not None else ""
+    hanging_reason = reason_for_hanging(run, channel, repeat) if repeat is not None else ""
     reason = contradiction(run, channel)
     if not reason and hanging_reason and channel.quantity in DEMANDS and repeat is not None:
-        reason = hanging_reason if repeat.length > NEARLY_ALL * np.isfinite(channel.values).sum() else ""
+        reason = hanging_reason if repeat.length > CONDEMNING_REPEAT_SHARE * np.isfinite(channel.values).sum() else ""
     if not reason and channel.quantity == "line_current" and repeat is not None and repeat.value:
         reason = hanging_reason  # without the current, the heat is not known
     if reason:
         run.condemned[name] = f"{opening} {reason}"
         yield run.condemned[name]
         return
-    if hanging_reason or (hanging_reason := standing(run, channel, repeat)):
+    if hanging_reason or (hanging_reason := reason_for_doubt(run, channel, repeat)):
         yield f"{opening} {hanging_reason}"
     demand = demand_of(run, channel)
     tracking = (
@@ -100,7 +105,7 @@ def notes_on_channel(run: Run, name: str, channel: Channel) -> Iterator[str]:
         yield f"{opening} is {tracking.gain:.3g} times its demand: check its units"
     finite = np.flatnonzero(np.isfinite(channel.values))
     missing_share = float(np.mean(~np.isfinite(channel.values[finite[0] : finite[-1] + 1])))
-    if missing_share > MISSING:
+    if missing_share > MOST_MISSING_SHARE:
         yield f"{opening}: {missing_share:.1%} of its readings are missing"
 
 
@@ -121,10 +126,10 @@ def contradiction(run: Run, channel: Channel) -> str:
         demanded = f"{demand[largest]:.4g} {channel.units} were demanded at {moment}"
         reading = f"{channel.values[largest]:.4g}"
         if fault == "opposite":
-            return f"has the opposite sign of its demand: it reads {reading} where {demanded}; {SWAPPED}"
+            return f"has the opposite sign of its demand: it reads {reading} where {demanded}; {SIGN_SWAPPED}"
         if fault == "dead":
             return f"does not follow its demand: it reads {reading} where {demanded}; is its sensor connected?"
-    if channel.quantity in HEATED and len(other_places := neighbours(run, channel, region_of(channel))) > 1:
+    if channel.quantity in HEATED_QUANTITIES and len(other_places := neighbours(run, channel, region_of(channel))) > 1:
         tracking = compare_with_demand(np.median(other_places, axis=0), channel.values, from_zero=False)
         if tracking is not None and tracking.fault == "opposite":
             return f"falls where the {len(other_places)} other places of its region rise: its sign is turned"
@@ -136,12 +141,12 @@ def contradiction(run: Run, channel: Channel) -> str:
     return ""
 
 
-def hanging(run: Run, channel: Channel, repeat: RepeatedReading) -> str:
+def reason_for_hanging(run: Run, channel: Channel, repeat: RepeatedReading) -> str:
     """Return a text on the readings that a channel repeats although it should change; empty if it need not change."""
-    if channel.quantity in (*HEATED, *SUPPLIED) and leaves_its_range(channel, repeat):
+    if channel.quantity in (*HEATED_QUANTITIES, *SUPPLY_QUANTITIES) and leaves_its_range(channel, repeat):
         return ""  # the analysis reports these readings and leaves them out
     companion_moves = any(stands_while_companion_moves(repeat, companion) for companion in companions(run, channel))
-    at_rest_zero = channel.quantity in AT_REST and repeat.value == 0.0
+    at_rest_zero = channel.quantity in CONSTANT_AT_REST and repeat.value == 0.0
     if not companion_moves and (at_rest_zero or channel.quantity == "angle" or not hangs(channel.values, repeat)):
         return ""
     start, stop = float(channel.time[repeat.first]), float(channel.time[repeat.last])
@@ -152,7 +157,7 @@ def hanging(run: Run, channel: Channel, repeat: RepeatedReading) -> str:
     )
 
 
-def standing(run: Run, channel: Channel, repeat: RepeatedReading | None) -> str:
+def reason_for_doubt(run: Run, channel: Channel, repeat: RepeatedReading | None) -> str:
     """Return the reason to doubt a constant reading or an ambient temperature; empty if there is none."""
     long_repeat = (
         repeat is not None and repeat.value != 0.0 and repeat.length > LONGEST_VOLTAGE_REPEAT * len(channel.values)
@@ -174,7 +179,9 @@ def standing(run: Run, channel: Channel, repeat: RepeatedReading | None) -> str:
 
 def leaves_its_range(channel: Channel, repeat: RepeatedReading) -> bool:
     """Return whether the repeated reading is the end of the sensor's range, and later readings are within the range."""
-    return clipped(channel) == repeat.value and repeat.last < int(np.flatnonzero(np.isfinite(channel.values))[-1])
+    return clipping_value(channel) == repeat.value and repeat.last < int(
+        np.flatnonzero(np.isfinite(channel.values))[-1]
+    )
 
 
 def demand_of(run: Run, channel: Channel, quantity: str = "") -> Array | None:
@@ -185,21 +192,21 @@ def demand_of(run: Run, channel: Channel, quantity: str = "") -> Array | None:
     """
     quantity = quantity or channel.quantity
     reference = values_in_stream(run, channel, DEMANDS.get(quantity))
-    if reference is not None or quantity not in HELD:
+    if reference is not None or quantity not in HOLD_KEYS:
         return reference
     demand = np.full(len(channel.time), np.nan)
-    for hold in HoldSelector(HELD[quantity], "", channel.role, unstated_role="test").holds_of(run):
+    for hold in HoldSelector(HOLD_KEYS[quantity], "", channel.role, unstated_role="test").holds_of(run):
         demand[samples_between(channel, hold.start, hold.stop)] = hold.setpoint
     return demand if np.isfinite(demand).any() else None
 
 
 def companions(run: Run, channel: Channel) -> Iterator[Array]:
     """Yield the quantities that a channel must change with: its demand, its partner, and the motion that it drives."""
-    candidates = [demand_of(run, channel), values_in_stream(run, channel, TOGETHER.get(channel.quantity))]
-    if channel.quantity in HEATED:
+    candidates = [demand_of(run, channel), values_in_stream(run, channel, PARTNERS.get(channel.quantity))]
+    if channel.quantity in HEATED_QUANTITIES:
         candidates += neighbours(run, channel)
     if channel.quantity == "q_axis_current":
-        candidates += [demand_of(run, channel, quantity) for quantity in DRIVING]
+        candidates += [demand_of(run, channel, quantity) for quantity in CONTROLLED_BY_CURRENT]
     yield from (candidate for candidate in candidates if candidate is not None)
 
 
@@ -252,7 +259,7 @@ def step_at(run: Run, channel: Channel, index: int) -> str:
     return f" (step '{name}')" if name else ""
 
 
-def contradicting_motion(run: Run, role: str) -> Iterator[str]:
+def motion_contradictions(run: Run, role: str) -> Iterator[str]:
     """Yield a note where the path of the angle and the integral of the velocity disagree."""
     angles, velocities = run.channels("angle", role), run.channels("velocity", role)
     if len(angles) != 1 or len(velocities) != 1 or angles[0].stream != velocities[0].stream:
@@ -260,25 +267,25 @@ def contradicting_motion(run: Run, role: str) -> Iterator[str]:
     angle, velocity = angles[0], velocities[0]
     both_finite = np.isfinite(angle.values) & np.isfinite(velocity.values)
     time, turned, speed = angle.time[both_finite], angle.values[both_finite], velocity.values[both_finite]
-    if len(time) < 2 * PARTS:
+    if len(time) < 2 * MOTION_PARTS:
         return
     intervals = np.diff(time)
     travelled = np.concatenate([[0.0], np.cumsum(0.5 * intervals * (speed[1:] + speed[:-1]))])
-    cuts = np.linspace(0, len(time) - 1, PARTS + 1).astype(int)
+    cuts = np.linspace(0, len(time) - 1, MOTION_PARTS + 1).astype(int)
     path, integral = np.diff(turned[cuts]), np.diff(travelled[cuts])
     # the integral may miss changes of the speed between two readings, noise included
     speed_changes = np.diff(speed) * intervals
     uncertainty = np.diff(np.concatenate([[0.0], np.cumsum(np.abs(speed_changes))])[cuts])
     # the integrated noise, at least its median over all parts: in a part of few readings it may be small by chance
     scatter = np.diff(np.concatenate([[0.0], np.cumsum(0.5 * speed_changes**2)])[cuts])
-    uncertainty += SURE * np.sqrt(np.maximum(scatter, np.median(scatter)))
+    uncertainty += NOISE_STDS * np.sqrt(np.maximum(scatter, np.median(scatter)))
     steps = np.abs(np.diff(turned))
     resolution = float(np.min(steps[steps > 0.0], initial=np.inf))
     threshold = uncertainty + COUNTS_OF_MOTION * (resolution if np.isfinite(resolution) else 0.0)
     larger = np.maximum(np.abs(path), np.abs(integral))
     moves = larger > LEAST_TRAVEL * larger.max()
-    contradicts = moves & (np.abs(path - integral) > np.maximum(MOST_DIFFERENCE * larger, threshold))
-    if contradicts.sum() >= FEWEST_APART:
+    contradicts = moves & (np.abs(path - integral) > np.maximum(MOST_PATH_DIFFERENCE * larger, threshold))
+    if contradicts.sum() >= FEWEST_CONTRADICTING_PARTS:
         path, integral = path[contradicts], integral[contradicts]
         parts = np.flatnonzero(contradicts)
         start, stop = float(time[cuts[parts[0]]]), float(time[cuts[parts[-1] + 1]])
@@ -290,10 +297,12 @@ def contradicting_motion(run: Run, role: str) -> Iterator[str]:
         )
 
 
-def contradicting_voltages(run: Run, role: str) -> Iterator[str]:
+def voltage_contradictions(run: Run, role: str) -> Iterator[str]:
     """Yield a note where the three voltages between the leads do not add up to zero (Kirchhoff)."""
-    channels = [channel for name in LOOP for channel in run.channels(name, role)]
-    if [channel.quantity for channel in channels] != list(LOOP) or len({channel.stream for channel in channels}) > 1:
+    channels = [channel for name in VOLTAGE_LOOP for channel in run.channels(name, role)]
+    if [channel.quantity for channel in channels] != list(VOLTAGE_LOOP) or len(
+        {channel.stream for channel in channels}
+    ) > 1:
         return
     voltages = np.array([channel.values for channel in channels])
     voltages = voltages[:, np.isfinite(voltages).all(axis=0)]
@@ -301,13 +310,13 @@ def contradicting_voltages(run: Run, role: str) -> Iterator[str]:
         return
     sizes = np.sqrt(np.mean(voltages**2, axis=1))
     voltage_sum = voltages.sum(axis=0)
-    if not float(np.sqrt(np.mean(voltage_sum**2))) > UNBALANCED * float(np.median(sizes)):
+    if not float(np.sqrt(np.mean(voltage_sum**2))) > MOST_UNBALANCE * float(np.median(sizes)):
         return
     # rms of the sum with the sign of one voltage reversed
     sums_with_sign_changed = np.sqrt(np.mean((voltage_sum - 2.0 * voltages) ** 2, axis=1))
     worst = int(np.argmin(sums_with_sign_changed))
     opening = f"{run.path}: {', '.join(label_of(channel) for channel in channels)} do not add up to zero"
-    if sums_with_sign_changed[worst] < UNBALANCED * sizes[worst]:
+    if sums_with_sign_changed[worst] < MOST_UNBALANCE * sizes[worst]:
         yield f"{opening}: the leads of {channels[worst].quantity} are swapped"
     else:
         yield f"{opening}: one of them is not connected, or reads in another unit"

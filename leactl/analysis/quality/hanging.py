@@ -9,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.quality.repeated_readings import FEWEST_REPEATS, IMPROBABLE, MOST_EQUAL_SHARE, rows
+from leactl.analysis.quality.repeated_readings import FEWEST_REPEATS, MOST_EQUAL_SHARE, MOST_REPEAT_PROBABILITY, rows
 from leactl.analysis.quality.saturation import noise_shows
 
 Array = npt.NDArray[np.float64]
 
-LASTING = 0.05  # of a record's readings: shorter rows are missed readings, which the analyses leave out
-STEPPED = 0.5  # of the range of the quantity that a channel follows: a larger change has to change the channel
-BOTH_SIDES = 5  # readings on each side of such a change: the first readings after it may come late
+LEAST_HANGING_SHARE = 0.05  # of a record's readings; shorter rows are missed readings, which the analyses leave out
+LEAST_COMPANION_CHANGE = 0.5  # of the range of the quantity that a channel follows; the channel must follow more
+FEWEST_ON_EACH_SIDE = 5  # readings on each side of such a change; the first readings after it may come late
 
 
 class RepeatedReading(NamedTuple):
@@ -47,7 +47,7 @@ def longest_repeat(values: Array) -> RepeatedReading | None:
 
 def hangs(values: Array, repeat: RepeatedReading) -> bool:
     """Return whether a row of equal readings is too long to be chance, judged by the noise of the other readings."""
-    if repeat.length < max(FEWEST_REPEATS, LASTING * len(values)):
+    if repeat.length < max(FEWEST_REPEATS, LEAST_HANGING_SHARE * len(values)):
         return False
     outside_row = np.delete(values, slice(repeat.first, repeat.last + 1))
     outside_row = outside_row[np.isfinite(outside_row)]
@@ -55,7 +55,7 @@ def hangs(values: Array, repeat: RepeatedReading) -> bool:
         return False
     share = float(np.mean(np.diff(outside_row) == 0.0))
     return share <= MOST_EQUAL_SHARE and (
-        share == 0.0 or repeat.length >= math.ceil(math.log(IMPROBABLE) / math.log(share))
+        share == 0.0 or repeat.length >= math.ceil(math.log(MOST_REPEAT_PROBABILITY) / math.log(share))
     )
 
 
@@ -67,7 +67,11 @@ def stands_while_companion_moves(repeat: RepeatedReading, companion: Array) -> b
     finite = companion[np.isfinite(companion)]
     within = companion[repeat.first : repeat.last + 1]
     within = within[np.isfinite(within)]
-    if len(within) < 2 * BOTH_SIDES:
+    if len(within) < 2 * FEWEST_ON_EACH_SIDE:
         return False
     sorted_values = np.sort(within)
-    return bool(sorted_values[-BOTH_SIDES] - sorted_values[BOTH_SIDES - 1] > STEPPED * float(np.ptp(finite)) > 0.0)
+    return bool(
+        sorted_values[-FEWEST_ON_EACH_SIDE] - sorted_values[FEWEST_ON_EACH_SIDE - 1]
+        > LEAST_COMPANION_CHANGE * float(np.ptp(finite))
+        > 0.0
+    )

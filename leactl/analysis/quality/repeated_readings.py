@@ -17,7 +17,7 @@ from leactl.runfile.read.reader import Channel
 
 # share of readings equal to the one before; above it, the resolution is over 1.5 times the noise and hides repeats
 MOST_EQUAL_SHARE = 0.4
-IMPROBABLE = 1e-9  # probability that noise alone makes so long a row of equal readings
+MOST_REPEAT_PROBABILITY = 1e-9  # of a row of equal readings by noise alone; a less probable row is a repeat
 FEWEST_REPEATS = 5  # equal readings in such a row
 
 
@@ -35,7 +35,9 @@ def mask_repeats(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, int]
     if share > MOST_EQUAL_SHARE:
         return channel, 0
     shortest_row = (
-        max(FEWEST_REPEATS, math.ceil(math.log(IMPROBABLE) / math.log(share))) if share > 0.0 else FEWEST_REPEATS
+        max(FEWEST_REPEATS, math.ceil(math.log(MOST_REPEAT_PROBABILITY) / math.log(share)))
+        if share > 0.0
+        else FEWEST_REPEATS
     )
     repeated = repeats(channel.values, shortest_row)
     if channel.quantity != "torque":  # the zeros of a shaft at rest and of a drive that is off are no repeats

@@ -12,20 +12,20 @@ from leactl.runfile.read.reader import Channel
 Array = npt.NDArray[np.float64]
 
 TORQUE = "torque"
-SHARE = 0.05  # of a hold's readings: least share at the extreme in a pile
-FEWEST = 5  # readings in a pile
-PILE = 3  # least ratio of readings at the extreme to those at the next value; the tail of noise has fewer
-CHANCE = 1e-3  # largest probability of a pile by chance
-MANY = 40  # readings at the two outermost values, above which a pile is not by chance
-ALIKE = 0.5  # distinct values over readings, without those at the extreme: with more, a pile is an end of range
-NOISY = 5  # distinct values in most holds: with fewer, the resolution may hide the noise
-FLICKERS = 0.4  # share of turning points above which a record shows noise; in white noise two thirds are turning points
-BEYOND = 0.1  # least share of turns larger than the smallest step; if noise is two thirds of that step, it is one half
-RECORD = 50  # readings: a shorter record does not show noise
-ONE_WAY = 0.05  # share of turning points; with fewer, a hold approaches its level without noise
+LEAST_PILE_SHARE = 0.05  # of a hold's readings, at the extreme of a pile
+FEWEST_PILED = 5  # readings at the extreme of a pile
+LEAST_PILE_RATIO = 3  # readings at the extreme over those at the next value; the tail of noise has fewer
+CHANCE_PROBABILITY = 1e-3  # a pile that a coarse resolution makes with more may be chance
+MOST_TOSSES = 40  # readings at the two outermost values; with more, a pile is not by chance
+MOST_DISTINCT_SHARE = 0.5  # distinct values over readings inside the extreme; with more, a pile is not by chance
+FEWEST_DISTINCT = 5  # values in most holds; with fewer, the resolution may hide the noise
+LEAST_TURNING_SHARE = 0.4  # turning points over readings of a noisy record; white noise has two thirds
+LEAST_LARGE_TURNS = 0.1  # share of turns above the smallest step; it is one half if noise is two thirds of that step
+FEWEST_STEPS = 50  # from reading to reading; a shorter record does not show noise
+MOST_ONE_WAY_TURNS = 0.05  # share of turning points in a hold that approaches its level without noise
 
 
-def saturated(channel: Channel, holds: Sequence[Hold]) -> tuple[float, list[Hold]]:
+def find_saturation(channel: Channel, holds: Sequence[Hold]) -> tuple[float, list[Hold]]:
     """Return the value at which a channel saturates and the holds that reach it; no holds if it does not saturate.
 
     Where noise shows, one hold with a pile of readings at the extreme is enough. Without noise a constant level looks
@@ -40,15 +40,18 @@ def saturated(channel: Channel, holds: Sequence[Hold]) -> tuple[float, list[Hold
         if extreme == 0.0 and channel.quantity != TORQUE:  # a shaft that stands, or a drive that is off
             continue
         at_extreme = [
-            hold for hold, values in values_by_hold if piles_up(values, extreme) and not by_chance(values, extreme)
+            hold for hold, values in values_by_hold if piles_up(values, extreme) and not may_be_chance(values, extreme)
         ]
         if not at_extreme:
             continue
         distinct_counts = [
-            (0 if one_way(values) else len(np.unique(values)), hold in at_extreme) for hold, values in values_by_hold
+            (0 if goes_one_way(values) else len(np.unique(values)), hold in at_extreme)
+            for hold, values in values_by_hold
         ]
         count_sets = [count for count, _ in distinct_counts], [count for count, piled in distinct_counts if not piled]
-        noisy = any(np.median(counts) >= NOISY for counts in count_sets if counts) or noise_shows(channel.values)
+        noisy = any(np.median(counts) >= FEWEST_DISTINCT for counts in count_sets if counts) or noise_shows(
+            channel.values
+        )
         if noisy or len({hold.setpoint for hold in at_extreme}) > 1:
             return extreme, at_extreme
     return float("nan"), []
@@ -68,16 +71,16 @@ def noise_shows(values: Array, staying: bool = True) -> bool:
         turn_sizes = np.maximum(np.abs(steps[1:]), np.abs(steps[:-1]))[changes & (step_products < 0.0)]
         step_products = step_products[changes]
         smallest_step = float(np.min(np.abs(steps[steps != 0.0]), initial=np.inf))
-        if not len(turn_sizes) or float(np.mean(turn_sizes > 1.5 * smallest_step)) < BEYOND:
+        if not len(turn_sizes) or float(np.mean(turn_sizes > 1.5 * smallest_step)) < LEAST_LARGE_TURNS:
             return False
-    return len(step_products) >= RECORD and float(np.mean(step_products < 0.0)) > FLICKERS
+    return len(step_products) >= FEWEST_STEPS and float(np.mean(step_products < 0.0)) > LEAST_TURNING_SHARE
 
 
-def one_way(values: Array) -> bool:
+def goes_one_way(values: Array) -> bool:
     """Return whether readings hardly ever change direction, as in a simulation without noise that settles."""
     steps = np.diff(values)
     steps = steps[steps != 0.0]
-    return float(np.mean(steps[1:] * steps[:-1] < 0.0)) < ONE_WAY if len(steps) > 1 else False
+    return float(np.mean(steps[1:] * steps[:-1] < 0.0)) < MOST_ONE_WAY_TURNS if len(steps) > 1 else False
 
 
 def settled_values(channel: Channel, hold: Hold) -> Array:
@@ -86,7 +89,7 @@ def settled_values(channel: Channel, hold: Hold) -> Array:
     return values[np.isfinite(values)]
 
 
-def clipped(channel: Channel) -> float | None:
+def clipping_value(channel: Channel) -> float | None:
     """Return the value at which a record is clipped; None if it is not clipped, or shows no noise to judge it by."""
     finite = channel.values[np.isfinite(channel.values)]
     if not len(finite) or not noise_shows(channel.values):
@@ -95,30 +98,30 @@ def clipped(channel: Channel) -> float | None:
     return next((extreme for extreme in extremes if extreme != 0.0 and piles_up(finite, extreme)), None)
 
 
-def piles_up(values: Array, extreme: float, share: float = SHARE) -> bool:
+def piles_up(values: Array, extreme: float, share: float = LEAST_PILE_SHARE) -> bool:
     """Return whether a hold's readings accumulate at `extreme` as at the end of a range.
 
     `share` is the least share of readings at the extreme.
     """
     at_extreme = values == extreme
-    if at_extreme.sum() < max(FEWEST, share * len(values)):
+    if at_extreme.sum() < max(FEWEST_PILED, share * len(values)):
         return False
     inner_values = values[~at_extreme]
     if not len(inner_values):
         return True
     nearest = inner_values[np.argmin(np.abs(inner_values - extreme))]
-    return int(at_extreme.sum()) >= PILE * int(np.sum(inner_values == nearest))
+    return int(at_extreme.sum()) >= LEAST_PILE_RATIO * int(np.sum(inner_values == nearest))
 
 
-def by_chance(values: Array, extreme: float) -> bool:
+def may_be_chance(values: Array, extreme: float) -> bool:
     """Return whether a coarse resolution alone explains the readings at the extreme.
 
     It does if readings that fall on the extreme or on the next value with equal probability make such a pile with more
-    than the probability `CHANCE`.
+    than the probability `CHANCE_PROBABILITY`.
     """
     pile_size, inner_values = int(np.sum(values == extreme)), values[values != extreme]
     distances = np.sort(np.abs(inner_values - extreme))
     tosses = pile_size + int(np.sum(distances == distances[0])) if len(distances) else pile_size
-    if tosses > MANY or len(np.unique(inner_values)) > ALIKE * len(inner_values):
+    if tosses > MOST_TOSSES or len(np.unique(inner_values)) > MOST_DISTINCT_SHARE * len(inner_values):
         return False
-    return sum(math.comb(tosses, count) for count in range(pile_size, tosses + 1)) / 2.0**tosses > CHANCE
+    return sum(math.comb(tosses, count) for count in range(pile_size, tosses + 1)) / 2.0**tosses > CHANCE_PROBABILITY

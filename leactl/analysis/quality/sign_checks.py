@@ -3,7 +3,7 @@
 from leactl.analysis.estimate import Estimate
 from leactl.errors import InputError
 
-SWAPPED = "a sign is swapped: check `sign` of the drives and of the torque sensor's scale"
+SIGN_SWAPPED = "a sign is swapped: check `sign` of the drives and of the torque sensor's scale"
 
 
 def refuse_below_zero(estimate: Estimate, error_prefix: str, channels: str) -> None:
@@ -21,5 +21,5 @@ def refuse_below_zero(estimate: Estimate, error_prefix: str, channels: str) -> N
     if estimate.value < 0.0 and not estimate.high >= 0.0:
         raise InputError(
             f"{error_prefix}: {estimate.name} comes out at {estimate.value:.3g} {estimate.units}, where above zero was"
-            f" expected: {channels} contradict each other; {SWAPPED}"
+            f" expected: {channels} contradict each other; {SIGN_SWAPPED}"
         )

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from leactl.analysis.estimate import NAN, Noted, listed
 from leactl.analysis.quality.repeated_readings import mask_repeats
-from leactl.analysis.quality.saturation import saturated
+from leactl.analysis.quality.saturation import find_saturation
 from leactl.analysis.signals.levels import CURRENT_HOLDS, Hold, HoldSelector, samples_between
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run
@@ -43,7 +43,7 @@ def within_range(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, dict
     """Replace readings of saturated holds by NaN; return the channel, and the holds by the value they reach."""
     holds_by_end: dict[float, list[Hold]] = {}
     for _ in range(2):  # a range has two ends
-        value, holds_at_end = saturated(channel, holds)
+        value, holds_at_end = find_saturation(channel, holds)
         if not holds_at_end:
             break
         holds_by_end[value] = holds_at_end

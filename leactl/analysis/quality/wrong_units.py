@@ -12,13 +12,13 @@ import numpy as np
 
 from leactl import yamlfile
 from leactl.analysis.estimate import Estimate, listed
-from leactl.analysis.run_model import model_of, positive
+from leactl.analysis.run_model import model_of, positive_number
 from leactl.errors import InputError
 from leactl.quantities import UNITS as VOCABULARY
 from leactl.runfile.read.reader import Run
 
 # by result: largest plausible ratio to the model's value, and the keys of the model that may have it, in this order
-FIGURES: dict[str, tuple[float, tuple[str, ...]]] = {
+PLAUSIBLE_RATIOS: dict[str, tuple[float, tuple[str, ...]]] = {
     "torque_constant": (10.0, ("torque_constant",)),
     "back_emf_constant": (10.0, ("back_emf_constant", "torque_constant")),  # equal in SI, q axis
     "rotor_inertia": (30.0, ("rotor_inertia",)),
@@ -28,7 +28,7 @@ FIGURES: dict[str, tuple[float, tuple[str, ...]]] = {
     "cold_resistance": (20.0, ("phase_resistance",)),  # between two leads, which is 2/3 to 2 phases
     "breakaway_torque": (30.0, ("coulomb_friction",)),
 }
-GIVEN = "the torque constant given"
+GIVEN_CONSTANT = "the torque constant given"
 UNITS = {
     "torque": "N*m",
     "q_axis_current": "A",
@@ -37,24 +37,24 @@ UNITS = {
     "phase_voltage": "V",
     "line_voltage": "V",
     "line_current": "A",
-    GIVEN: "N*m/A",
+    GIVEN_CONSTANT: "N*m/A",
 }
-IN_THOUSANDS = (
+MISTAKEN_BY_THOUSANDS = (
     "torque",
     "q_axis_current",
     "phase_voltage",
     "line_voltage",
     "line_current",
-    GIVEN,
-)  # an angle is not told in mrad by mistake
+    GIVEN_CONSTANT,
+)  # quantities that logs have in a unit a thousand times off; an angle in mrad is no mistake
 PREFIXES = {1: ("m", "k"), 2: ("u", "M")}  # by power of a thousand: prefix if readings are too large, if too small
-NEAR = 0.1  # of a power of a thousand: largest distance at which a note names a unit
-DEGREES = 180.0 / math.pi
-LIMITS = {"q_axis_current": "current_A", "torque": "torque_Nm", "velocity": "velocity_rad_s"}
-LIMITS |= {"bus_voltage": "bus_voltage_high_V"}
-LIMITS |= {f"phase_voltage_{leads}": "bus_voltage_high_V" for leads in ("ab", "bc", "ca")}
-BEYOND = 3.0  # times a limit of the bench
-NEARLY_ALL = 0.99  # of the readings, so that a spike does not count
+UNIT_TOLERANCE = 0.1  # of a power of a thousand, or of degrees; a ratio within it names the unit
+DEGREES_PER_RADIAN = 180.0 / math.pi
+LIMIT_KEYS = {"q_axis_current": "current_A", "torque": "torque_Nm", "velocity": "velocity_rad_s"}
+LIMIT_KEYS |= {"bus_voltage": "bus_voltage_high_V"}
+LIMIT_KEYS |= {f"phase_voltage_{leads}": "bus_voltage_high_V" for leads in ("ab", "bc", "ca")}
+BEYOND_LIMIT_FACTOR = 3.0  # times a limit of the bench; readings beyond it make the unit doubtful
+SPIKE_FREE_QUANTILE = 0.99  # of the readings; a spike lies above it
 
 
 def unit_notes(
@@ -73,16 +73,16 @@ def unit_notes(
     """
     notes = []
     model = source_in_run(runs[0], "model")
-    model_constant = positive(model.get("torque_constant"))
-    limit = FIGURES["torque_constant"][0]
+    model_constant = positive_number(model.get("torque_constant"))
+    limit = PLAUSIBLE_RATIOS["torque_constant"][0]
     if given is not None and not 1.0 / limit <= given / model_constant <= limit and math.isfinite(model_constant):
         notes.append(
             f"the torque constant {given:g} N*m/A, as given, is {given / model_constant:.4g} times the model's"
             f" {model_constant:g} N*m/A:"
-            f" {unit_question(given / model_constant, [GIVEN])}"
+            f" {unit_question(given / model_constant, [GIVEN_CONSTANT])}"
         )
     if given is not None:
-        over = [*over, GIVEN]
+        over = [*over, GIVEN_CONSTANT]
     differences: list[str] = []
     ratios: list[float] = []
     for item in results:
@@ -98,10 +98,10 @@ def unit_notes(
 
 def ratio_to_model(item: Estimate, model: dict[str, Any]) -> float | None:
     """Return result over model if the result's interval is beyond the largest plausible ratio, else None."""
-    if item.name not in FIGURES:
+    if item.name not in PLAUSIBLE_RATIOS:
         return None
-    largest_factor, names = FIGURES[item.name]
-    modelled = next((positive(model[name]) for name in names if name in model), math.nan)
+    largest_factor, names = PLAUSIBLE_RATIOS[item.name]
+    modelled = next((positive_number(model[name]) for name in names if name in model), math.nan)
     ratio, low, high = item.value / modelled, item.low / modelled, item.high / modelled
     above = (low if math.isfinite(low) else ratio) > largest_factor
     below = ratio > 0.0 and (high if math.isfinite(high) else ratio) < 1.0 / largest_factor
@@ -112,11 +112,11 @@ def unit_question(ratio: float, over: Sequence[str], under: Sequence[str] = ()) 
     """Ask whether a quantity is in the unit that would explain `ratio`, and say which units to check."""
     power = round(math.log10(ratio) / 3.0)
     candidates = []
-    if abs(power) in PREFIXES and off_a_unit(ratio) < NEAR:
+    if abs(power) in PREFIXES and off_a_unit(ratio) < UNIT_TOLERANCE:
         too_many_prefix, too_few_prefix = PREFIXES[abs(power)][:: 1 if power > 0 else -1]
-        candidates += [f"{name} in {too_many_prefix}{UNITS[name]}" for name in over if name in IN_THOUSANDS]
-        candidates += [f"{name} in {too_few_prefix}{UNITS[name]}" for name in under if name in IN_THOUSANDS]
-    elif "angle" in over and abs(ratio / DEGREES - 1.0) < NEAR:
+        candidates += [f"{name} in {too_many_prefix}{UNITS[name]}" for name in over if name in MISTAKEN_BY_THOUSANDS]
+        candidates += [f"{name} in {too_few_prefix}{UNITS[name]}" for name in under if name in MISTAKEN_BY_THOUSANDS]
+    elif "angle" in over and abs(ratio / DEGREES_PER_RADIAN - 1.0) < UNIT_TOLERANCE:
         candidates.append("angle in degrees")
     check = f"check the units of {' and '.join([*over, *under])}"
     return f"{' or '.join(candidates)}? {check}" if candidates else check
@@ -150,12 +150,12 @@ def beyond_limits(runs: Sequence[Run], quantities: Sequence[str]) -> list[str]:
 def reading_beyond_limit(run: Run, quantity: str) -> tuple[float, float] | None:
     """Return a run's highest reading without spikes, and the bench's limit, if the reading is far beyond; else None."""
     limits = source_in_run(run, "bench").get("limits")
-    limit = positive(limits.get(LIMITS.get(quantity, ""))) if isinstance(limits, dict) else math.nan
+    limit = positive_number(limits.get(LIMIT_KEYS.get(quantity, ""))) if isinstance(limits, dict) else math.nan
     if not math.isfinite(limit):
         return None
     sizes = [np.abs(channel.values[np.isfinite(channel.values)]) for channel in run.channels(quantity, role="test")]
-    highest = max((float(np.quantile(size, NEARLY_ALL)) for size in sizes if len(size)), default=0.0)
-    return (highest, limit) if highest > BEYOND * limit else None
+    highest = max((float(np.quantile(size, SPIKE_FREE_QUANTILE)) for size in sizes if len(size)), default=0.0)
+    return (highest, limit) if highest > BEYOND_LIMIT_FACTOR * limit else None
 
 
 def source_in_run(run: Run, name: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.analysis.estimate import Noted, tally
-from leactl.analysis.quality.saturation import saturated
+from leactl.analysis.quality.saturation import find_saturation
 from leactl.analysis.signals.levels import Hold
 from leactl.analysis.statistics.regression import Array
 from leactl.errors import NotIdentifiable
@@ -59,7 +59,7 @@ def records_of(run: Run, experiment: NoiseExperiment) -> Noted[list[NoiseRecord]
     if len(reference.time) != len(measured.time) or np.any(np.abs(reference.time - measured.time) > STAMP_ROUNDING_S):
         raise NotIdentifiable(f"{run.path}: {experiment.reference} and {experiment.response} are not sampled together")
     holds = [Hold(float(step.parameters[experiment.offset]), 0, step.start + step.settle, step.stop) for step in steps]
-    clipping_value, clipped = saturated(measured, holds)
+    clipping_value, clipped = find_saturation(measured, holds)
     clipped_starts = {hold.start for hold in clipped}
     records: list[NoiseRecord] = []
     left_out: dict[str, list[str]] = {}

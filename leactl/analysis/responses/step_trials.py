@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.analysis.estimate import Noted, tally
-from leactl.analysis.quality.saturation import piles_up, saturated
+from leactl.analysis.quality.saturation import find_saturation, piles_up
 from leactl.analysis.quality.wrong_units import unit_question
 from leactl.analysis.signals.levels import Hold, samples_between
 from leactl.analysis.statistics.regression import Array
@@ -98,7 +98,7 @@ def clipped_holds(channel: Channel, holds: Sequence[Hold], befores: Sequence[flo
     `befores` are the times [s] from the jump to each settled part. Where most neighbouring readings are equal, a level
     at rest looks like the end of the range; only a value that two levels share then counts as clipped.
     """
-    value, at_end = saturated(channel, holds)
+    value, at_end = find_saturation(channel, holds)
     settled = [channel.values[samples_between(channel, hold.start, hold.stop)] for hold in holds]
     equal_shares = [np.mean(np.diff(values) == 0.0) for values in settled if len(values) > 1]
     if np.median(equal_shares or [0.0]) > 0.5:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.analysis.estimate import NAN, Estimate, Noted
-from leactl.analysis.run_model import model_of, positive
+from leactl.analysis.run_model import model_of, positive_number
 from leactl.analysis.statistics.regression import Array, LeastSquaresFit, indicator_columns, least_squares, t_quantile
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
@@ -80,7 +80,7 @@ def reactance_of(runs: Sequence[Run]) -> Noted[float]:
     """Return n L / Kb of the first run's model [1/A]; 0 and a note where the model lacks one of them."""
     model = model_of(runs[0])
     poles, inductance, back_emf = (
-        positive(model.get(name)) for name in ("pole_pairs", "phase_inductance", "back_emf_constant")
+        positive_number(model.get(name)) for name in ("pole_pairs", "phase_inductance", "back_emf_constant")
     )
     reactance = poles * inductance / back_emf
     if math.isfinite(reactance):

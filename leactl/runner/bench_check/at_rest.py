@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from leactl.analysis.quality.channel_plausibility import AT_REST, MISSING, NEVER_ZERO, NOT_MEASURED
+from leactl.analysis.quality.channel_plausibility import CONSTANT_AT_REST, MOST_MISSING_SHARE, NEVER_ZERO, NOT_MEASURED
 from leactl.analysis.quality.repeated_readings import FEWEST_REPEATS
 from leactl.runfile.read.reader import Channel, Run
 from leactl.runner.bench_check.statement import Statement, StatementVerdict
@@ -122,7 +122,7 @@ def _channel(channel: Channel, request: Request) -> Statement:
         verdict, why = StatementVerdict.WRONG, "beyond the bench's limits"
     elif quantity in NEVER_ZERO and not values.any():
         verdict, why = StatementVerdict.WRONG, "exactly 0, which it never is: is it connected?"
-    elif constant and quantity in AT_REST:
+    elif constant and quantity in CONSTANT_AT_REST:
         verdict, why = (
             StatementVerdict.UNDECIDED,
             "constant, as expected at rest; `leactl bench check --move` tests it",
