@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leactl.analysis.efficiency.contours import band, contours
+from leactl.analysis.efficiency.contours import band_polygons, contours
 
 X, Y = np.meshgrid(np.linspace(-1.5, 1.5, 31), np.linspace(-1.5, 1.5, 31), indexing="ij")
 
@@ -48,14 +48,14 @@ def test_bands_of_any_surface_cover_the_grid_once(levels, seed):
     z = np.random.default_rng(seed).normal(size=(4, 5))
     x, y = np.meshgrid(np.arange(4.0), np.arange(5.0), indexing="ij")
     edges = [-np.inf, *sorted(levels), np.inf]
-    assert sum(area(band(x, y, z, *pair)) for pair in itertools.pairwise(edges)) == pytest.approx(12.0)
+    assert sum(area(band_polygons(x, y, z, *pair)) for pair in itertools.pairwise(edges)) == pytest.approx(12.0)
 
 
 def test_a_band_of_a_plane_is_as_wide_as_its_levels_are_apart():
-    polygons = band(X, Y, X, -0.3, 0.72)
+    polygons = band_polygons(X, Y, X, -0.3, 0.72)
     assert area(polygons) == pytest.approx(3.0 * 1.02)
     assert all(-0.3 - 1e-12 <= x <= 0.72 + 1e-12 for polygon in polygons for x, _ in polygon)
 
 
 def test_a_band_leaves_out_what_is_not_known():
-    assert area(band(X, Y, np.where(X > 0.05, np.nan, Y), -np.inf, np.inf)) == pytest.approx(3.0 * 1.5)
+    assert area(band_polygons(X, Y, np.where(X > 0.05, np.nan, Y), -np.inf, np.inf)) == pytest.approx(3.0 * 1.5)

@@ -130,7 +130,7 @@ def test_what_the_drives_lose_comes_from_the_dc_link(coupled):
     item = analyzed(analyze, coupled.run(voltages=True, link=7.5)).find("drives_loss")
     assert item.value == pytest.approx(7.5, abs=0.2)
     assert covered(item, 7.5)
-    assert noted(analyzed(analyze, coupled.run(link=7.5)), "losses of the drives are not told")
+    assert noted(analyzed(analyze, coupled.run(link=7.5)), "losses of the drives are not known")
 
 
 def test_points_that_were_not_held_have_no_value_and_count_nowhere(coupled):

@@ -6,22 +6,22 @@ from dataclasses import replace
 import numpy as np
 
 from leactl.analysis.efficiency.operating_points import OTHER_ROLE, OperatingPoints
-from leactl.analysis.efficiency.power_balance import SENSE, PowerCalibration
+from leactl.analysis.efficiency.power_balance import TORQUE_SIGN, PowerCalibration
 from leactl.analysis.estimate import Noted
 from leactl.analysis.quality.sign_checks import SIGN_SWAPPED
 from leactl.analysis.statistics.regression import least_squares
 from leactl.errors import InputError, NotIdentifiable
 from leactl.runfile.read.reader import Run
 
-MOST_WRONG = 0.5  # of the points: if more have signs that contradict the roles, a sign is swapped
-FEWEST = 12  # points: fewer do not distinguish a drift from the effects of speed and torque
-ALONE = 0.5  # of the spread of time: least part of it that speed and torque must leave unexplained
-CLEAR = 4.0  # standard errors: a smaller drift or gain error may be chance
-SHARE = 0.005  # of the largest torque: a smaller drift is not worth a note
-GAIN_OFF = 0.02  # relative difference between torque sensor and currents; a note names a larger one
+MOST_CONTRADICTING_SHARE = 0.5  # of the points; if the signs of more contradict the roles, a sign is swapped
+FEWEST_DRIFT_POINTS = 12  # of a run; fewer do not distinguish a drift from the effects of speed and torque
+LEAST_UNEXPLAINED_TIME = 0.5  # of the spread of time, that speed and torque must leave unexplained
+LEAST_STANDARD_ERRORS = 4.0  # of a drift or a gain error; a smaller one may be chance
+LEAST_NOTED_DRIFT = 0.005  # of the largest torque
+MOST_GAIN_DIFFERENCE = 0.02  # of torque sensor and currents, relative; a note names a larger one
 
 
-def refuse_swapped(points: OperatingPoints, error_prefix: str) -> None:
+def refuse_swapped_signs(points: OperatingPoints, error_prefix: str) -> None:
     """Raise if the signs of most readings contradict the roles of the driving and the driven actuator.
 
     Raises
@@ -54,7 +54,7 @@ def refuse_swapped(points: OperatingPoints, error_prefix: str) -> None:
 
 def _mostly_negative(products: np.ndarray) -> bool:
     finite = products[np.isfinite(products)]
-    return bool(len(finite)) and float(np.mean(finite < 0.0)) > MOST_WRONG
+    return bool(len(finite)) and float(np.mean(finite < 0.0)) > MOST_CONTRADICTING_SHARE
 
 
 def with_drift(points: OperatingPoints, runs: Sequence[Run], calibration: PowerCalibration) -> Noted[OperatingPoints]:
@@ -72,18 +72,18 @@ def with_drift(points: OperatingPoints, runs: Sequence[Run], calibration: PowerC
     for number, run in enumerate(runs):
         run_points = points.where(points.run == number)
         torque = run_points.value["torque", "test"]
-        signed_currents = sum(SENSE[role] * run_points.value["q_axis_current", role] for role in OTHER_ROLE)
+        signed_currents = sum(TORQUE_SIGN[role] * run_points.value["q_axis_current", role] for role in OTHER_ROLE)
         by_current = signed_currents * calibration.back_emf_constant / 2.0
         speed = np.array([grid_hold.speed for grid_hold in run_points.holds])
         time = np.array([grid_hold.hold.start for grid_hold in run_points.holds])
         complete = np.isfinite(torque) & np.isfinite(by_current)
-        if complete.sum() < FEWEST:
+        if complete.sum() < FEWEST_DRIFT_POINTS:
             continue
         run_time = (time - time[complete].mean()) / max(float(np.ptp(time[complete])), 1e-9)
         torque_and_speed = np.column_stack([torque, speed, np.ones_like(run_time)])[complete]
         explained = torque_and_speed @ np.linalg.lstsq(torque_and_speed, run_time[complete], rcond=None)[0]
         unexplained = run_time[complete] - explained
-        if np.std(unexplained) < ALONE * np.std(run_time[complete]):
+        if np.std(unexplained) < LEAST_UNEXPLAINED_TIME * np.std(run_time[complete]):
             notes.append(
                 f"{run.path}: points were visited in the order of their speed or torque: a drift of torque sensor or"
                 " currents cannot be told from them, and is in no interval"
@@ -95,7 +95,9 @@ def with_drift(points: OperatingPoints, runs: Sequence[Run], calibration: PowerC
         except NotIdentifiable:  # a grid of one level leaves nothing to compare
             continue
         drift, std = fit.combined(np.eye(design.shape[1])[0])
-        if abs(drift) > CLEAR * std and abs(drift) > SHARE * float(np.max(np.abs(torque[complete]))):
+        if abs(drift) > LEAST_STANDARD_ERRORS * std and abs(drift) > LEAST_NOTED_DRIFT * float(
+            np.max(np.abs(torque[complete]))
+        ):
             notes.append(
                 f"{run.path}: torque drifts by {drift:.2g} N*m over the run against the currents; its zero is taken as"
                 " uncertain as that"
@@ -103,9 +105,9 @@ def with_drift(points: OperatingPoints, runs: Sequence[Run], calibration: PowerC
             # the root mean square of a straight drift from zero
             zero_std[number] = np.hypot(zero_std[number], abs(drift) / np.sqrt(3.0))
         gain, std = fit.combined(np.eye(design.shape[1])[1])
-        if abs(gain) > GAIN_OFF and abs(gain) > CLEAR * std:
+        if abs(gain) > MOST_GAIN_DIFFERENCE and abs(gain) > LEAST_STANDARD_ERRORS * std:
             notes.append(
-                f"{run.path}: torque is {gain:+.1%} off what the currents and the torque constant make of it;"
+                f"{run.path}: torque is {gain:+.1%} off the torque of the currents by the torque constant;"
                 " the sensor's calibration or the current's convention may be wrong"
             )
     return Noted(replace(points, zero_std=zero_std), tuple(notes))

@@ -54,7 +54,7 @@ def contours(x: Array, y: Array, z: Array, level: float) -> list[Line]:
     return lines
 
 
-def band(x: Array, y: Array, z: Array, low: float, high: float) -> list[Polygon]:
+def band_polygons(x: Array, y: Array, z: Array, low: float, high: float) -> list[Polygon]:
     """Return polygons that cover the grid where `low <= z < high`; cells with a NaN corner have no polygon.
 
     Parameters
@@ -68,13 +68,13 @@ def band(x: Array, y: Array, z: Array, low: float, high: float) -> list[Polygon]
         if not np.isfinite(polygon).all():
             continue
         for level, upwards in ((low, True), (high, False)):
-            polygon = above(polygon, level, upwards)
+            polygon = cut_at_level(polygon, level, upwards)
         if len(polygon) > 2:
             polygons.append(tuple((corner[0], corner[1]) for corner in polygon))
     return polygons
 
 
-def above(polygon: list[Corner], level: float, upwards: bool) -> list[Corner]:
+def cut_at_level(polygon: list[Corner], level: float, upwards: bool) -> list[Corner]:
     """Cut a polygon at a level and return the part above it, or below it where `upwards` is false.
 
     The algorithm is that of Sutherland and Hodgman (1974).

@@ -11,7 +11,7 @@ from leactl.analysis.signals.levels import settled_mean
 from leactl.analysis.statistics.regression import t_quantile
 from leactl.runfile.read.reader import Channel, Run
 
-FEWEST = 2  # holds
+FEWEST_HOLDS = 2  # with a current of the DC link
 
 
 def drives_loss(runs: Sequence[Run], points: OperatingPoints, calibration: PowerCalibration) -> Noted[list[Estimate]]:
@@ -26,7 +26,10 @@ def drives_loss(runs: Sequence[Run], points: OperatingPoints, calibration: Power
         or not all(links)
         or not all(("q_axis_current", role) in points.value for role in OTHER_ROLE)
     ):
-        note = "losses of the drives are not told: that takes q-axis voltages of both and the current of the DC link"
+        note = (
+            "losses of the drives are not known: they need q-axis voltages of both actuators and the current of the DC"
+            " link"
+        )
         return Noted([], (note,))
     terminal_powers = np.sum([balance(points, role, True, calibration).electrical for role in OTHER_ROLE], axis=0)
     losses = []
@@ -37,8 +40,8 @@ def drives_loss(runs: Sequence[Run], points: OperatingPoints, calibration: Power
         if np.isfinite(terminal_power) and all(mean is not None and mean.value > 0.0 for mean in means):
             voltage, current = (mean.value for mean in means if mean is not None)
             losses.append(voltage * current - terminal_power)
-    if len(losses) < FEWEST:
-        return Noted([], ("losses of the drives are not told: too few holds with a current of the DC link",))
+    if len(losses) < FEWEST_HOLDS:
+        return Noted([], ("losses of the drives are not known: too few holds with a current of the DC link",))
     value, std = float(np.mean(losses)), float(np.std(losses, ddof=1)) / np.sqrt(len(losses))
     half = t_quantile(len(losses) - 1) * std
     return Noted([Estimate("drives_loss", value, std, value - half, value + half, "W")])

@@ -84,10 +84,13 @@ def sources_of(stds: Mapping[str, float]) -> str:
     """Return a note that names the uncertainties which the intervals include."""
     included = [name.replace("_", " ") for name, std in stds.items() if std > 0.0]
     if included:
-        return f"the intervals hold scatter, the torque sensor's zero and the told uncertainty of {', '.join(included)}"
+        return (
+            "the intervals include scatter, the torque sensor's zero and the given uncertainty of"
+            f" {', '.join(included)}"
+        )
     return (
-        "the intervals are those of scatter and of the torque sensor's zero; what resistance, constants and"
-        " calibrations are off by is in them where it is told (--set resistance_std=,"
+        "the intervals include scatter and the torque sensor's zero; they include errors of resistance, constants and"
+        " calibrations if their uncertainties are given (--set resistance_std=,"
         " back_emf_constant_std=, torque_gain_std=, current_gain_std=, voltage_gain_std=)"
     )
 

@@ -5,19 +5,19 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from leactl.analysis.efficiency.contours import Polygon, band, contours
+from leactl.analysis.efficiency.contours import Polygon, band_polygons, contours
 from leactl.analysis.efficiency.means import MapMeans
 from leactl.analysis.estimate import Band, Grid, Plot, Series
 from leactl.analysis.statistics.regression import Array
 
-LEVELS = (-1.0, -0.5, 0.0, 0.2, 0.4, 0.5, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9)
-CLASSES = {  # the first has the paper's black marks
+CONTOUR_LEVELS = (-1.0, -0.5, 0.0, 0.2, 0.4, 0.5, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9)
+EFFICIENCY_CLASSES = {  # the first has the paper's black marks
     "below -100 %": (-np.inf, -1.0),
     "-100 to 0 %": (-1.0, 0.0),
     "0 to 50 %": (0.0, 0.5),
     "50 % and more": (0.5, np.inf),
 }
-QUANTITIES = {
+GRID_QUANTITIES = {  # column of a grid: attribute of `Balance`
     "efficiency_1": "efficiency", "torque_Nm": "torque", "velocity_rad_s": "speed", "q_axis_voltage_V": "voltage",
     "q_axis_current_A": "current", "electrical_W": "electrical", "mechanical_W": "mechanical", "loss_W": "loss",
     "copper_W": "copper", "friction_W": "friction",
@@ -26,7 +26,7 @@ QUANTITIES = {
 
 def grid_of(means: MapMeans, name: str) -> Grid:
     """Return every quantity at every point of the grid; NaN where the bench did not hold it."""
-    columns = {key: means.over_map(quantity) for key, quantity in QUANTITIES.items()}
+    columns = {key: means.over_map(quantity) for key, quantity in GRID_QUANTITIES.items()}
     columns["efficiency_std_1"] = np.where(means.counts > 0, means.std_over_map("efficiency"), np.nan)
     values = {key: tuple(tuple(row) for row in column.tolist()) for key, column in columns.items()}
     axes = {"velocity_rad_s": tuple(means.speeds.tolist()), "current_A": tuple(means.currents.tolist())}
@@ -66,20 +66,20 @@ def currents_and_voltages(maps: Sequence[MapMeans]) -> Plot:
 def _plot(
     maps: Sequence[MapMeans], x_label: str, y_label: str, x: Callable[[MapMeans], Array], y: Callable[[MapMeans], Array]
 ) -> Plot:
-    points: dict[str, tuple[list[float], list[float]]] = {label: ([], []) for label in CLASSES}
+    points: dict[str, tuple[list[float], list[float]]] = {label: ([], []) for label in EFFICIENCY_CLASSES}
     lines = []
-    steps = list(itertools.pairwise((-np.inf, *LEVELS, np.inf)))
+    steps = list(itertools.pairwise((-np.inf, *CONTOUR_LEVELS, np.inf)))
     polygons: list[list[Polygon]] = [[] for _ in steps]
     for means in maps:
         x_values, y_values, efficiency = x(means), y(means), means.over_map("efficiency")
-        for label, (low, high) in CLASSES.items():
+        for label, (low, high) in EFFICIENCY_CLASSES.items():
             inside = (efficiency >= low) & (efficiency < high)
             points[label][0].extend(x_values[inside].tolist())
             points[label][1].extend(y_values[inside].tolist())
-        for level in LEVELS:
+        for level in CONTOUR_LEVELS:
             lines += [Series(f"{level:.0%}", *line) for line in contours(x_values, y_values, efficiency, level)]
         for level_polygons, (low, high) in zip(polygons, steps, strict=True):
-            level_polygons += band(x_values, y_values, efficiency, low, high)
+            level_polygons += band_polygons(x_values, y_values, efficiency, low, high)
     series = tuple(Series(label, tuple(xs), tuple(ys)) for label, (xs, ys) in points.items() if xs)
     bands = tuple(
         Band(band_label(*step), tuple(level_polygons)) for step, level_polygons in zip(steps, polygons, strict=True)

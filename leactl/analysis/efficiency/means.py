@@ -41,7 +41,7 @@ class MapMeans:
         np.add.at(self.counts, self.cells, self.held)
 
     @property
-    def reached(self) -> int:
+    def reached_points(self) -> int:
         """Return the number of points of the grid that were held at least once."""
         return int(np.sum(self.counts > 0))
 
@@ -49,7 +49,7 @@ class MapMeans:
     def weights(self) -> Array:
         """Return the weight of each hold in a mean over the map, shape (holds,): every point has the same weight."""
         repeats = np.where(self.held, self.counts[self.cells], np.inf)
-        return np.asarray(1.0 / repeats / self.reached)
+        return np.asarray(1.0 / repeats / self.reached_points)
 
     def over_map(self, quantity: str, column: Array | None = None) -> Array:
         """Return the mean of a quantity over the repeats of each point, shape (speeds, currents); NaN without a repeat.
@@ -92,7 +92,12 @@ class MapMeans:
     def spread(self, name: str) -> Estimate:
         """Return the standard deviation of the efficiency over the map; the paper prints three times this value."""
         return Estimate(
-            name, float(np.nanstd(self.over_map("efficiency"), ddof=1)) if self.reached > 1 else NAN, NAN, NAN, NAN, "1"
+            name,
+            float(np.nanstd(self.over_map("efficiency"), ddof=1)) if self.reached_points > 1 else NAN,
+            NAN,
+            NAN,
+            NAN,
+            "1",
         )
 
     def highest(self, name: str) -> Estimate:
@@ -107,12 +112,14 @@ class MapMeans:
         """Return notes on points without a value, and on points with fewer repeats than others; `prefix` opens them."""
         notes = []
         point_count = self.counts.size
-        if self.reached < point_count:
+        if self.reached_points < point_count:
             absent = [
                 f"{self.speeds[row]:g} rad/s {self.currents[column]:g} A"
                 for row, column in np.argwhere(self.counts == 0)
             ]
-            notes.append(f"{prefix}: {self.reached} of {point_count} points were held; no value at {listed(absent, 6)}")
+            notes.append(
+                f"{prefix}: {self.reached_points} of {point_count} points were held; no value at {listed(absent, 6)}"
+            )
         planned_repeats = np.zeros_like(self.counts)
         np.add.at(planned_repeats, self.cells, 1.0)
         fewer = int(np.sum((self.counts > 0) & (self.counts < planned_repeats.max())))
@@ -156,7 +163,7 @@ class MapMeans:
         means = []
         for label in np.unique(labels, axis=0):
             in_pass = np.all(labels == label, axis=1)
-            if self.held[in_pass].sum() == self.reached:
+            if self.held[in_pass].sum() == self.reached_points:
                 means.append(float(np.mean(column[in_pass & self.held])))
         if len(means) < 2:
             return explained, math.inf

@@ -19,9 +19,9 @@ from leactl.errors import MissingChannel, NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run
 
 OTHER_ROLE = {"test": "load", "load": "test"}
-HELD = 0.02  # of the setpoint: largest difference of a mean from it
-OPPOSITE = 0.5  # of the setpoint: a reading of opposite sign beyond this has its sign swapped
-STEADY = 0.02  # of the mean: largest difference between the quarters of a settled part
+MOST_SETPOINT_ERROR = 0.02  # of the setpoint, by which a mean may differ from it
+LEAST_OPPOSITE = 0.5  # of the setpoint; a larger reading of opposite sign has its sign swapped
+MOST_QUARTER_CHANGE = 0.02  # of the mean, by which the quarters of a settled part may differ
 ChannelKey = tuple[str, str]  # quantity and role of a channel
 
 
@@ -92,7 +92,7 @@ def gather_grid(runs: Sequence[Run]) -> Noted[OperatingPoints]:
         zero_stds.append(zero_std)
         left_out: dict[str, list[str]] = {}
         for grid_hold, means in means_of(run_holds, channels.value):
-            if reason := fault_of(grid_hold, means):
+            if reason := reason_to_leave_out(grid_hold, means):
                 left_out.setdefault(reason, []).append(str(grid_hold))
             row = {key: (NAN, NAN) if reason or mean is None else (mean.value, mean.std) for key, mean in means.items()}
             torque, std = row["torque", "test"]
@@ -175,7 +175,7 @@ def means_of(
     ]
 
 
-def fault_of(grid_hold: GridHold, means: Mapping[ChannelKey, SettledMean | None]) -> str:
+def reason_to_leave_out(grid_hold: GridHold, means: Mapping[ChannelKey, SettledMean | None]) -> str:
     """Return the reason to leave out a hold; empty if the hold counts."""
     lacking = sorted({key[0] for key, mean in means.items() if mean is None})
     if lacking:
@@ -184,13 +184,15 @@ def fault_of(grid_hold: GridHold, means: Mapping[ChannelKey, SettledMean | None]
     for key, mean in complete_means.items():
         setpoint = grid_hold.speed if key[0] == "velocity" else grid_hold.current
         follows = key[0] == "velocity" or key == ("q_axis_current", OTHER_ROLE[grid_hold.driving])
-        if follows and mean.value * setpoint < 0.0 and abs(mean.value) > OPPOSITE * abs(setpoint):
+        if follows and mean.value * setpoint < 0.0 and abs(mean.value) > LEAST_OPPOSITE * abs(setpoint):
             return f"{key[0]} of {key[1]} has the opposite sign of its setpoint"
-        if follows and abs(mean.value - setpoint) > HELD * abs(setpoint):
+        if follows and abs(mean.value - setpoint) > MOST_SETPOINT_ERROR * abs(setpoint):
             return f"{key[0]} was not reached"
     for key, mean in complete_means.items():
         change = float(np.nanmax(mean.quarters) - np.nanmin(mean.quarters))
-        if key[0] != "q_axis_voltage" and change > STEADY * abs(mean.value):  # a voltage rises as the winding warms
+        if key[0] != "q_axis_voltage" and change > MOST_QUARTER_CHANGE * abs(
+            mean.value
+        ):  # a voltage rises as the winding warms
             return f"{key[0]} was not steady"
     return ""
 

@@ -13,7 +13,7 @@ import numpy as np
 from leactl.analysis.efficiency.operating_points import OTHER_ROLE, OperatingPoints
 from leactl.analysis.statistics.regression import Array
 
-SENSE = {"test": 1.0, "load": -1.0}  # sign of an actuator's torque: the sensor reads that of the test actuator
+TORQUE_SIGN = {"test": 1.0, "load": -1.0}  # sign of an actuator's torque: the sensor reads that of the test actuator
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def balance(points: OperatingPoints, role: str, driving: bool, calibration: Powe
     speed = np.where(np.isfinite(speeds[0]), speeds[0], speeds[-1])
     current = calibration.current_gain * points.value["q_axis_current", role]
     zero = np.array([(calibration.zero or {}).get(int(run), 0.0) for run in points.run])
-    torque = SENSE[role] * calibration.torque_gain * (points.value["torque", "test"] - zero)
+    torque = TORQUE_SIGN[role] * calibration.torque_gain * (points.value["torque", "test"] - zero)
     back_emf = calibration.back_emf_constant * speed
     if calibration.by_measured_voltage:
         voltage = calibration.voltage_gain * points.value["q_axis_voltage", role]

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leactl.analysis.efficiency.checks import refuse_swapped, with_drift
+from leactl.analysis.efficiency.checks import refuse_swapped_signs, with_drift
 from leactl.analysis.efficiency.drive_losses import drives_loss
 from leactl.analysis.efficiency.known_parameters import GivenParameters, calibration_of, sources_of
 from leactl.analysis.efficiency.maps import currents_and_voltages, grid_of, speeds_and_torques
@@ -115,7 +115,7 @@ def analyze(
     gathered = gather_grid(runs)
     known_parameters = calibration_of(runs, gathered.value, given, relative)
     calibration, stds = known_parameters.value
-    refuse_swapped(gathered.value, error_prefix)
+    refuse_swapped_signs(gathered.value, error_prefix)
     drifting = with_drift(gathered.value, runs, calibration)
     points = drifting.value
     notes += [*gathered.notes, *known_parameters.notes, *drifting.notes]
@@ -129,7 +129,7 @@ def analyze(
             if not map_points.holds or ("q_axis_current", role) not in map_points.value:
                 continue
             means = MapMeans(map_points, role, driving, calibration, stds)
-            if not means.reached:
+            if not means.reached_points:
                 notes.append(f"no point was held at which the {role} actuator was {mode}")
                 continue
             results += estimates(means, f"{prefix}{mode}")
