@@ -67,7 +67,7 @@ def test_a_run_that_cannot_answer_says_why_in_one_line(bench, how, words):
 def test_what_is_missing_of_turns_and_breakaways_is_said_and_the_drag_is_there(bench):
     result = analyzed(analyze, driven(bench, turn_s=6.0, lets_go=False))
     notes = "\n".join(result.notes)
-    assert "are no whole turn; it tells no cogging" in notes
+    assert "are no whole turn; it shows no cogging" in notes
     assert "left out 4: the shaft did not let go: give a higher current" in notes
     assert covered(result.find("coulomb_friction"), F)
     assert {"cogging_amplitude", "breakaway_torque"}.isdisjoint(item.name for item in result.results)
@@ -77,7 +77,7 @@ def test_one_direction_has_the_sensor_s_zero_in_it_and_says_so(bench):
     result = analyzed(analyze, driven(bench, signs=(1,)))
     assert result.find("coulomb_friction").value == pytest.approx(F - 0.02, abs=0.002)
     assert any("the zero of the torque sensor is part of coulomb_friction" in note for note in result.notes)
-    assert any("tell no cogging: one in each and a repeat are needed" in note for note in result.notes)
+    assert any("show no cogging: one in each and a repeat are needed" in note for note in result.notes)
 
 
 def test_a_clipped_sensor_is_named(bench):

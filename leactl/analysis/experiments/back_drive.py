@@ -18,7 +18,15 @@ from leactl.analysis.quality.usable_readings import usable_channel
 from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.signals.breakaway import Breakaway, breakaways_of
 from leactl.analysis.signals.cogging import cogging_of, turns_of
-from leactl.analysis.signals.drag import VELOCITY, at_setpoint, both_ways, coefficients, drag_at, fit_drag, weights_at
+from leactl.analysis.signals.drag import (
+    VELOCITY,
+    coefficients,
+    drag_at,
+    fit_drag,
+    holds_at_setpoint,
+    turned_both_ways,
+    weights_at,
+)
 from leactl.analysis.signals.levels import HoldMeans, HoldSelector, gather_means
 from leactl.analysis.statistics.linefit import LineFit, fit_notes, paths_of, setup_notes
 from leactl.analysis.statistics.trial_means import mean_of
@@ -70,15 +78,15 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
         lambda run, name: Noted(torques[run.path].value) if name == TORQUE else usable_channel(run, name, HELD),
         HELD,
     )
-    turning = at_setpoint(runs, gathered.value, error_prefix)
+    turning = holds_at_setpoint(runs, gathered.value, error_prefix)
     levels = turning.value
     notes += [note for torque in torques.values() for note in torque.notes]
     notes += [*gathered.notes, *turning.notes]
-    line = fit_drag(levels, -levels.value[TORQUE], error_prefix)
+    line = fit_drag(levels, -levels.means[TORQUE], error_prefix)
     fastest = float(np.max(np.abs(levels.setpoint)))
     refuse_below_zero(line.fit.estimate("drag", "N*m", weights_at(line, fastest)), error_prefix, "torque and velocity")
-    notes += fit_notes(line, levels.std[TORQUE], "N*m")
-    if not both_ways(levels):
+    notes += fit_notes(line, levels.standard_errors[TORQUE], "N*m")
+    if not turned_both_ways(levels):
         notes.append("the shaft turned one way only: the zero of the torque sensor is part of coulomb_friction")
 
     numbered = [(number, run, torques[run.path].value) for number, run in enumerate(runs)]
@@ -141,9 +149,9 @@ def breakaway(breakaways: Sequence[Breakaway], gain_std: float) -> Noted[Estimat
 
 def plot_of_drag(levels: HoldMeans, line: LineFit) -> Plot:
     """Plot the torque against the motion over speed, by direction, with the fit."""
-    velocity = levels.value[VELOCITY]
+    velocity = levels.means[VELOCITY]
     sensor_zeros = intercepts_by_hold(line)
-    torque_against = (-levels.value[TORQUE] - (sensor_zeros if both_ways(levels) else 0.0)) * np.sign(velocity)
+    torque_against = (-levels.means[TORQUE] - (sensor_zeros if turned_both_ways(levels) else 0.0)) * np.sign(velocity)
     points = points_by_direction(velocity, torque_against)
     speeds = np.linspace(0.0, float(np.max(np.abs(velocity))), LINE_POINTS)
     fitted = Series("fit", tuple(speeds.tolist()), tuple(drag_at(line.fit, line, speeds).tolist()))

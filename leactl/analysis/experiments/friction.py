@@ -86,8 +86,8 @@ def analyze(
     turning = steady_holds(runs, gathered.value, error_prefix)
     levels = turning.value
     notes += [*gathered.notes, *turning.notes]
-    sign = np.sign(levels.value[VELOCITY])
-    torque = constants.values[levels.run] * levels.value[CURRENT]
+    sign = np.sign(levels.means[VELOCITY])
+    torque = constants.values[levels.run_index] * levels.means[CURRENT]
     unit = "N" if levels.units[VELOCITY] == "m/s" else "N*m"
     notes.append(constants.note)
 
@@ -112,7 +112,9 @@ def analyze(
         results = line_results(line, "", unit, constants.relative_std, direction)
         notes.append(f"the rotor turned {name} only: a zero error of the current is part of coulomb_friction")
     damping = line.slope("viscous_damping")
-    noise = np.hypot(constants.values[levels.run] * levels.std[CURRENT], damping * levels.std[VELOCITY])
+    noise = np.hypot(
+        constants.values[levels.run_index] * levels.standard_errors[CURRENT], damping * levels.standard_errors[VELOCITY]
+    )
     notes += fit_notes(line, noise, unit)
     paths = tuple(str(run.path) for run in runs)
     plot = plot_of(levels, torque, line, sign, unit)
@@ -171,12 +173,12 @@ def steady_holds(runs: Sequence[Run], levels: HoldMeans, error_prefix: str) -> N
     NotIdentifiable : fewer than two distinct levels are left.
     InputError : the rotor turned against its current throughout.
     """
-    velocity, current = levels.value[VELOCITY], levels.value[CURRENT]
+    velocity, current = levels.means[VELOCITY], levels.means[CURRENT]
     stood = np.abs(velocity) < np.maximum(
-        TURNING_STANDARD_ERRORS * levels.std[VELOCITY], SLOWEST_TURNING * float(np.max(np.abs(velocity)))
+        TURNING_STANDARD_ERRORS * levels.standard_errors[VELOCITY], SLOWEST_TURNING * float(np.max(np.abs(velocity)))
     )
     stood |= velocity == 0.0
-    quarters = levels.quarters[VELOCITY]
+    quarters = levels.quarter_means[VELOCITY]
     uneven = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1) > MOST_QUARTER_SPREAD * np.abs(velocity)
     turned = ~stood
     if turned.any() and (velocity * current < 0.0)[turned].all():
@@ -193,7 +195,7 @@ def steady_holds(runs: Sequence[Run], levels: HoldMeans, error_prefix: str) -> N
     left_out: dict[tuple[int, str], list[str]] = {}
     for reason, applies in reasons.items():
         for index in np.flatnonzero(applies & usable):
-            left_out.setdefault((int(levels.run[index]), reason), []).append(str(levels.holds[index]))
+            left_out.setdefault((int(levels.run_index[index]), reason), []).append(str(levels.holds[index]))
         usable &= ~applies
     notes = [
         note
@@ -212,7 +214,7 @@ def steady_holds(runs: Sequence[Run], levels: HoldMeans, error_prefix: str) -> N
 
 def regressors(levels: HoldMeans, sign: Array) -> dict[str, Array]:
     """Return the fit's columns: the velocity, and its sign where the levels have both signs."""
-    columns = {"viscous_damping": levels.value[VELOCITY]}
+    columns = {"viscous_damping": levels.means[VELOCITY]}
     return columns | {"coulomb_friction": sign} if len(np.unique(sign)) == 2 else columns
 
 
@@ -234,11 +236,11 @@ def line_of_direction(
     levels: HoldMeans, torque: Array, direction: float, error_prefix: str
 ) -> LineFit | NotIdentifiable:
     """Fit one direction alone, or return the reason why that is not possible."""
-    in_direction = np.sign(levels.value[VELOCITY]) == direction
+    in_direction = np.sign(levels.means[VELOCITY]) == direction
     if not in_direction.any():
         return NotIdentifiable(f"{error_prefix}: found no level at which the rotor turned that way")
     one_way = levels.where(in_direction)
-    velocity = one_way.value[VELOCITY]
+    velocity = one_way.means[VELOCITY]
     try:
         require_levels(error_prefix, "velocity", VELOCITY, one_way)
         return fit_lines({"viscous_damping": velocity}, torque[in_direction], one_way, error_prefix)
@@ -275,7 +277,7 @@ def points_by_direction(velocity: Array, values: Array) -> tuple[Series, ...]:
 
 def plot_of(levels: HoldMeans, torque: Array, line: LineFit, sign: Array, unit: str) -> Plot:
     """Plot the torque of the current over speed, both along the motion, by direction."""
-    velocity = levels.value[VELOCITY]
+    velocity = levels.means[VELOCITY]
     intercept = float(line.fit.coefficients @ line.mean_intercept)
     coulomb = line.slope("coulomb_friction") if "coulomb_friction" in line.slopes else 0.0
     points, lines = [], []

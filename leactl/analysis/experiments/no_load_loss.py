@@ -18,7 +18,15 @@ from leactl.analysis.experiments.torque_constant import intercepts_by_hold
 from leactl.analysis.quality.sign_checks import refuse_below_zero
 from leactl.analysis.quality.usable_readings import usable_channel
 from leactl.analysis.quality.wrong_units import unit_notes
-from leactl.analysis.signals.drag import VELOCITY, at_setpoint, both_ways, coefficients, drag_at, fit_drag, weights_at
+from leactl.analysis.signals.drag import (
+    VELOCITY,
+    coefficients,
+    drag_at,
+    fit_drag,
+    holds_at_setpoint,
+    turned_both_ways,
+    weights_at,
+)
 from leactl.analysis.signals.levels import HoldMeans, HoldSelector, gather_means
 from leactl.analysis.statistics.linefit import LineFit, fit_notes, paths_of, setup_notes
 from leactl.analysis.statistics.regression import Array, t_quantile
@@ -88,13 +96,16 @@ def analyze(
     constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
     notes = setup_notes(runs, ("free",), "losses of whatever else is on the shaft are counted in")
     gathered = gather_means(runs, (VELOCITY, CURRENT), partial(usable_channel, hold_selector=HELD), HELD)
-    turning = at_setpoint(runs, gathered.value, error_prefix)
+    turning = holds_at_setpoint(runs, gathered.value, error_prefix)
     levels = turning.value
     notes += [*gathered.notes, *turning.notes]
-    torque = constants.values[levels.run] * levels.value[CURRENT]
+    torque = constants.values[levels.run_index] * levels.means[CURRENT]
     line = fit_drag(levels, torque, error_prefix)
-    notes += [constants.note, *fit_notes(line, constants.values[levels.run] * levels.std[CURRENT], "N*m")]
-    if not both_ways(levels):
+    notes += [
+        constants.note,
+        *fit_notes(line, constants.values[levels.run_index] * levels.standard_errors[CURRENT], "N*m"),
+    ]
+    if not turned_both_ways(levels):
         notes.append("the rotor turned one way only: a zero error of the current is part of coulomb_friction")
     full_speed = float(np.max(np.abs(levels.setpoint)))
     loss = line.fit.estimate("no_load_loss", "W", full_speed * weights_at(line, full_speed), constants.relative_std)
@@ -155,8 +166,8 @@ def estimate_iron_losses(drag: Sequence[Estimate], friction: dict[str, FrictionA
 
 def plot_of(levels: HoldMeans, torque: Array, line: LineFit) -> Plot:
     """Plot the loss over speed, by direction, and the fit with its three parts on top of each other."""
-    velocity = levels.value[VELOCITY]
-    shown = (torque - intercepts_by_hold(line) if both_ways(levels) else torque) * velocity
+    velocity = levels.means[VELOCITY]
+    shown = (torque - intercepts_by_hold(line) if turned_both_ways(levels) else torque) * velocity
     points = points_by_direction(velocity, shown)
     speeds = np.linspace(0.0, float(np.max(np.abs(velocity))), LINE_POINTS)
     friction = weights_at(line, 0.0) @ line.fit.coefficients * speeds

@@ -65,7 +65,7 @@ def analyze(
     gathered = torque_levels(runs, error_prefix)
     levels = gathered.value
     notes += gathered.notes
-    current, torque = levels.value[CURRENT], levels.value[TORQUE]
+    current, torque = levels.means[CURRENT], levels.means[TORQUE]
 
     columns = {"torque_constant": current}
     both_sides = len(np.unique(levels.direction)) == 2
@@ -74,7 +74,7 @@ def analyze(
     else:
         notes.append("all levels were reached from one side or none is said: sticking friction is part of the offset")
     line = fit_lines(columns, torque, levels, error_prefix)
-    expected = np.hypot(levels.std[TORQUE], line.slope("torque_constant") * levels.std[CURRENT])
+    expected = np.hypot(levels.standard_errors[TORQUE], line.slope("torque_constant") * levels.standard_errors[CURRENT])
     unit = levels.units[TORQUE]
     notes += fit_notes(line, expected, unit)
     notes += [f"{run.path}: {note}" for run in runs for note in convention_notes(run, line.slope("torque_constant"))]
@@ -141,10 +141,10 @@ def slopes_by_side(levels: HoldMeans, error_prefix: str, relative_std: float) ->
     slopes, notes = [], []
     for name, sign in SIDES.items():
         side = levels.where(levels.direction == sign)
-        columns = {"slope": side.value[CURRENT]}
+        columns = {"slope": side.means[CURRENT]}
         try:
             require_levels(error_prefix, "current", CURRENT, side)
-            line = fit_lines(columns, side.value[TORQUE], side, error_prefix)
+            line = fit_lines(columns, side.means[TORQUE], side, error_prefix)
         except NotIdentifiable as fault:
             notes.append(f"{name} levels alone give no slope: {str(fault).removeprefix(error_prefix + ': ')}")
             continue
@@ -155,13 +155,13 @@ def slopes_by_side(levels: HoldMeans, error_prefix: str, relative_std: float) ->
 
 def intercepts_by_hold(line: LineFit) -> Array:
     """Return the fitted intercept of each hold's run, shape (holds,)."""
-    runs = line.levels.run
+    runs = line.levels.run_index
     return np.asarray(line.fit.coefficients[len(line.slopes) :][np.searchsorted(np.unique(runs), runs)])
 
 
 def plot_of(levels: HoldMeans, line: LineFit) -> Plot:
     """Plot the mean torque of each hold by direction, without the offset of its run, and the fitted lines."""
-    current, torque = levels.value[CURRENT], levels.value[TORQUE]
+    current, torque = levels.means[CURRENT], levels.means[TORQUE]
     mean = float(np.mean(line.fit.coefficients[len(line.slopes) :]))
     shown: Array = torque - intercepts_by_hold(line) + mean
     points, lines = [], []

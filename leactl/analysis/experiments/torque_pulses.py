@@ -106,7 +106,7 @@ def analyze(
     gathered = torque_levels(runs, error_prefix)
     levels = gathered.value
     notes += gathered.notes
-    current, torque = levels.value[CURRENT], levels.value[TORQUE]
+    current, torque = levels.means[CURRENT], levels.means[TORQUE]
     magnitudes = np.unique(np.round(np.abs(levels.setpoint), 9))
     if len(magnitudes) < FEWEST_LEVELS:
         raise NotIdentifiable(
@@ -128,7 +128,7 @@ def analyze(
     except NotIdentifiable as fault:  # as where a current is a thousand times its setpoints
         raise NotIdentifiable("; ".join([str(fault), *unit_notes(runs, [], [TORQUE], [CURRENT])])) from None
     bent = SaturationCurve(line, peak)
-    expected = np.hypot(levels.std[TORQUE], bent.constant * levels.std[CURRENT])
+    expected = np.hypot(levels.standard_errors[TORQUE], bent.constant * levels.standard_errors[CURRENT])
     notes += fit_notes(line, expected, levels.units[TORQUE])
     notes += [f"{run.path}: {note}" for run in runs for note in convention_notes(run, bent.constant)]
     notes += calibration_notes({"torque": torque_std, "current": current_std}, "torques and torque_constant")
@@ -256,9 +256,9 @@ def straight_up_to(bent: SaturationCurve) -> Noted[Estimate]:
 
 def plot_of(levels: HoldMeans, bent: SaturationCurve) -> Plot:
     """Plot the torque that is missing from the straight line of small currents, both signs on one side."""
-    line, sign, current = bent.line, np.sign(levels.setpoint), levels.value[CURRENT]
+    line, sign, current = bent.line, np.sign(levels.setpoint), levels.means[CURRENT]
     points = []
-    lack = sign * (bent.constant * current - (levels.value[TORQUE] - intercepts_by_hold(line)))
+    lack = sign * (bent.constant * current - (levels.means[TORQUE] - intercepts_by_hold(line)))
     for label, side in {**SIDES, "levels": 0}.items():
         on_side = levels.direction == side
         if on_side.any():

@@ -119,7 +119,7 @@ def analyze(
     line = fit_readings(applied, levels, error_prefix)
     factor = line.slope("sensitivity")
     highest = float(np.max(np.abs(applied)))
-    notes += fit_notes(line, levels.std[TORQUE], "N*m")
+    notes += fit_notes(line, levels.standard_errors[TORQUE], "N*m")
     factor_std = line.estimate("sensitivity", "sensitivity", "1").std
     if abs(factor) < FOLLOWING_STANDARD_ERRORS * factor_std:
         raise NotIdentifiable(
@@ -186,16 +186,16 @@ def fit_readings(applied: Array, levels: HoldMeans, error_prefix: str) -> LineFi
     """
     time = np.array([0.5 * (hold.start + hold.stop) for hold in levels.holds])
     columns = {"sensitivity": applied}
-    for number in np.unique(levels.run):
-        of_run = levels.run == number
+    for number in np.unique(levels.run_index):
+        of_run = levels.run_index == number
         middle = 0.5 * (time[of_run].min() + time[of_run].max())
         columns[f"drift_{number}"] = np.where(of_run, time - middle, 0.0) / max(float(np.ptp(time[of_run])), 1e-9)
     if {1, -1} <= set(levels.direction.tolist()):
         columns[HYSTERESIS_COLUMN] = -np.sign(applied) * levels.direction * loop_shape(applied)
     try:
-        return fit_lines(columns, levels.value[TORQUE], levels, error_prefix)
+        return fit_lines(columns, levels.means[TORQUE], levels, error_prefix)
     except NotIdentifiable:
-        return fit_lines({"sensitivity": applied}, levels.value[TORQUE], levels, error_prefix)
+        return fit_lines({"sensitivity": applied}, levels.means[TORQUE], levels, error_prefix)
 
 
 def loop_shape(applied: Array) -> Array:
@@ -219,7 +219,7 @@ def owner_notes(line: LineFit, levels: HoldMeans, factor: float, highest: float)
         notes.append("the reading falls as the torque rises: the sensor's sign is the other one; change `sign`")
     elif abs(factor - 1.0) > MOST_FACTOR_ERROR:
         notes.append(f"the reading is {factor:.4f} times the torque: multiply scale_per_V by {1.0 / factor:.5g}")
-    quarters = levels.quarters[TORQUE]
+    quarters = levels.quarter_means[TORQUE]
     swing = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1)
     swinging = swing > MOST_SWING * highest
     if swinging.any():
@@ -245,7 +245,7 @@ def budget(
     if HYSTERESIS_COLUMN in line.slopes:  # the loop is a part of the budget
         loop = line.fit.projected[:, line.slopes.index(HYSTERESIS_COLUMN)]
         residuals = residuals + line.slope(HYSTERESIS_COLUMN) / factor * loop
-    weight_and_run = np.column_stack([setpoint_groups(levels), levels.run])
+    weight_and_run = np.column_stack([setpoint_groups(levels), levels.run_index])
     cells = np.unique(weight_and_run, axis=0, return_inverse=True)[1].reshape(-1)
     counts = np.bincount(cells)
     within = residuals - (np.bincount(cells, residuals) / counts)[cells]
@@ -265,7 +265,7 @@ def budget(
     if not loop_widths:
         notes.append("weights were not hung rising and falling: hysteresis is not known, and not in the combined one")
     departures = [abs(float(residuals[levels.setpoint == value].mean())) for value in np.unique(levels.setpoint)]
-    zeros = levels.value[TORQUE][levels.setpoint == 0.0] / factor
+    zeros = levels.means[TORQUE][levels.setpoint == 0.0] / factor
     steps = [quantisation_step(run.channel(TORQUE).values) / factor for run in runs]
     parts = [
         BudgetComponent("repeatability", repeat, dof or math.inf),

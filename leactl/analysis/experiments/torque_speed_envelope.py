@@ -19,7 +19,7 @@ from leactl.analysis.quality.calibration_uncertainty import calibration_notes, g
 from leactl.analysis.quality.sign_checks import SIGN_SWAPPED
 from leactl.analysis.quality.usable_readings import usable_channel, within_range
 from leactl.analysis.run_model import rotor_inertia_of_model
-from leactl.analysis.signals.corner import Mask, SpeedHolds, corner_speed, groups_of, repeats_of
+from leactl.analysis.signals.corner import Mask, SpeedHolds, corner_speed, repeats_of, speed_groups
 from leactl.analysis.signals.drag import VELOCITY
 from leactl.analysis.signals.levels import CURRENT_HOLDS, HoldMeans, gather_means
 from leactl.analysis.statistics.intervals import quantisation_step
@@ -90,11 +90,13 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
             " one current was expected"
         )
     limit = float(currents[0])
-    speed, flowing = np.abs(levels.value[VELOCITY]), np.abs(levels.value[CURRENT])
+    speed, flowing = np.abs(levels.means[VELOCITY]), np.abs(levels.means[CURRENT])
     limited = flowing < (1.0 - VOLTAGE_LIMITED_ABOVE) * limit
-    held = limit - flowing <= np.maximum(CURRENT_HELD_WITHIN * limit, HELD_STANDARD_ERRORS * levels.std[CURRENT])
+    held = limit - flowing <= np.maximum(
+        CURRENT_HELD_WITHIN * limit, HELD_STANDARD_ERRORS * levels.standard_errors[CURRENT]
+    )
     inertia_torque = acceleration_torque(runs, levels)
-    torque = np.abs(levels.value[TORQUE]) + inertia_torque.value
+    torque = np.abs(levels.means[TORQUE]) + inertia_torque.value
     sensor_zero = zero_std(runs)
     zero = math.hypot(sensor_zero.value, INERTIA_STD * float(np.max(np.abs(inertia_torque.value))))
     shared = SharedUncertainty(zero, gain_std(runs, TORQUE, torque_gain_std))
@@ -110,7 +112,7 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
     if stops:
         notes.append(f"the torque sensor stops at {max(stops):g} N*m: the highest torque lies above, and power may")
         highest = [as_lower_bound(estimate, max(stops)) for estimate in highest]
-    holds = SpeedHolds(speed, flowing, limit, limited, held, levels.run)
+    holds = SpeedHolds(speed, flowing, limit, limited, held, levels.run_index)
     at_corner = corner_speed(runs, holds, error_prefix)
     bus_voltage = lowest_bus_voltage(runs)
     results = [
@@ -133,12 +135,12 @@ def driving_holds(levels: HoldMeans, error_prefix: str) -> Noted[HoldMeans]:
     NotIdentifiable : no hold is left.
     InputError : the current is opposite to its setpoint in most holds.
     """
-    flows = levels.value[CURRENT] * levels.setpoint
+    flows = levels.means[CURRENT] * levels.setpoint
     if np.mean(flows < 0.0) > 0.5:
         raise InputError(
             f"{error_prefix}: the current is opposite to its setpoint in {(flows < 0.0).sum()} holds; {SIGN_SWAPPED}"
         )
-    gives = (levels.value[TORQUE] * levels.value[VELOCITY] > 0.0) & (levels.setpoint * levels.value[VELOCITY] > 0.0)
+    gives = (levels.means[TORQUE] * levels.means[VELOCITY] > 0.0) & (levels.setpoint * levels.means[VELOCITY] > 0.0)
     braking = [hold for hold, drove in zip(levels.holds, gives, strict=True) if not drove]
     if not gives.any():
         raise NotIdentifiable(f"{error_prefix}: found no hold in which the actuator drove ({len(braking)} holds)")
@@ -153,8 +155,8 @@ def refuse_still(levels: HoldMeans, error_prefix: str) -> None:
     ------
     NotIdentifiable : all holds of a run have one reading.
     """
-    for quantity, run in product((TORQUE, VELOCITY), np.unique(levels.run)):
-        means = levels.value[quantity][levels.run == run]
+    for quantity, run in product((TORQUE, VELOCITY), np.unique(levels.run_index)):
+        means = levels.means[quantity][levels.run_index == run]
         if len(means) > 1 and np.ptp(means) <= SAME_READING_WITHIN * abs(means[0]):
             raise NotIdentifiable(
                 f"{error_prefix}: {quantity} of test reads {means[0]:.4g} {levels.units[quantity]} in all"
@@ -192,14 +194,14 @@ def no_interval(estimate: Estimate) -> bool:
 
 def acceleration_torque(runs: Sequence[Run], levels: HoldMeans) -> Noted[Array]:
     """Return the torque that accelerated the rotor in each hold, along the motion [N*m]; negative where it slowed."""
-    quarters = levels.quarters[VELOCITY] * np.sign(levels.value[VELOCITY])[:, np.newaxis]
+    quarters = levels.quarter_means[VELOCITY] * np.sign(levels.means[VELOCITY])[:, np.newaxis]
     middles = (np.arange(4) - 1.5) / 4.0  # of the quarters, from the middle of the hold, over its length
     length = np.array([hold.stop - hold.start for hold in levels.holds])
     acceleration = np.nan_to_num(quarters @ middles) / float(middles @ middles) / length
     drifted = float(np.max(np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1)))
-    inertias = np.array([rotor_inertia_of_model(run) for run in runs])[levels.run]
+    inertias = np.array([rotor_inertia_of_model(run) for run in runs])[levels.run_index]
     notes = []
-    if drifted > MOST_SPEED_CHANGE * float(np.max(np.abs(levels.value[VELOCITY]))):
+    if drifted > MOST_SPEED_CHANGE * float(np.max(np.abs(levels.means[VELOCITY]))):
         lacking = np.isnan(inertias).any()
         what = "in its torque, and in no interval: give the model a rotor_inertia, or settle longer"
         notes.append(
@@ -243,8 +245,8 @@ def highest_estimates(
     The scatter is that of repeats at all speeds of the same `kind`, on one side of the corner; without repeats there is
     no interval.
     """
-    speed = np.abs(levels.value[VELOCITY])
-    group = groups_of(speed)
+    speed = np.abs(levels.means[VELOCITY])
+    group = speed_groups(speed)
     means = np.bincount(group, torque * factor) / np.bincount(group)
     at_best_speed = group == int(np.argmax(means))
     best_speed = Estimate(f"speed_of_highest_{name}", float(speed[at_best_speed].mean()), NAN, NAN, NAN, "rad/s")
@@ -254,7 +256,7 @@ def highest_estimates(
         fit = least_squares(speeds, torque[same_kind], speeds, name)
     except NotIdentifiable:
         return [Estimate(f"highest_{name}", float(np.max(means)), NAN, NAN, NAN, units), best_speed]
-    fit = widened_by(fit, partial_f_test(speeds, torque[same_kind], indicator_columns(levels.run[same_kind])))
+    fit = widened_by(fit, partial_f_test(speeds, torque[same_kind], indicator_columns(levels.run_index[same_kind])))
     weights = (np.unique(group[same_kind]) == group[at_best_speed][0]) * float(factor[at_best_speed].mean())
     value, scattered = fit.combined(weights)
     shared_std = value * math.hypot(shared.gain, shared.zero / float(torque[at_best_speed].mean()))
@@ -274,7 +276,7 @@ def drift_of(holds: SpeedHolds, corner: Estimate) -> list[str]:
     speed, current, repeat = holds.speed[holds.limited], holds.current[holds.limited], repeats_of(holds)[holds.limited]
     beyond = speed - corner.value
     fall = float((holds.setpoint - current) @ beyond / (beyond @ beyond))  # A for each rad/s
-    speeds, repeats = indicator_columns(groups_of(speed)), indicator_columns(repeat)
+    speeds, repeats = indicator_columns(speed_groups(speed)), indicator_columns(repeat)
     mean = speeds @ (speeds.T @ current / speeds.sum(axis=0))
     shift = (speed + current / fall) * holds.setpoint / mean
     if (departs := partial_f_test(speeds, shift, repeats)) is None or departs.p_value > DRIFT_P_VALUE:

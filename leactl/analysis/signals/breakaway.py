@@ -16,9 +16,9 @@ from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run, Step
 
 BREAKAWAY = "breakaway"
-COUNTS = 3.0  # of the encoder: a smaller change of angle may be the twist of the shaft
-FITTED = 0.2  # of the time from the start of the ramp to the motion: the last part, which is fitted
-FEWEST = 20  # readings of torque in that part
+LEAST_COUNTS = 3.0  # of the encoder; a smaller change of angle may be the twist of the shaft
+FITTED_SHARE = 0.2  # of the time from the start of the ramp to the motion; its last part is fitted
+FEWEST_READINGS = 20  # of torque in that part, and of the angle before the motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,16 +52,16 @@ def breakaway_of(number: int, step: Step, angle: Channel, torque: Channel) -> Br
     NotIdentifiable : no motion can be recognised (see `motion`), or there are too few readings of torque before it.
     """
     motion_time, direction = motion(step, angle)
-    fit_start = motion_time - FITTED * (motion_time - step.start)
+    fit_start = motion_time - FITTED_SHARE * (motion_time - step.start)
     fitted = (torque.time >= fit_start) & (torque.time < motion_time) & np.isfinite(torque.values)
     time, opposing = torque.time[fitted] - motion_time, -direction * torque.values[fitted]
-    if len(time) < FEWEST:
-        raise NotIdentifiable(f"fewer than {FEWEST} readings of torque before the shaft moved")
-    return Breakaway(TrialLabel(number, direction), corner(time, opposing), time, opposing)
+    if len(time) < FEWEST_READINGS:
+        raise NotIdentifiable(f"fewer than {FEWEST_READINGS} readings of torque before the shaft moved")
+    return Breakaway(TrialLabel(number, direction), plateau_torque(time, opposing), time, opposing)
 
 
 def motion(step: Step, angle: Channel) -> tuple[float, int]:
-    """Return the time [s] at which the shaft has moved by more than `COUNTS`, and the direction, 1 or -1.
+    """Return the time [s] at which the shaft has moved by more than `LEAST_COUNTS`, and the direction, 1 or -1.
 
     Raises
     ------
@@ -69,19 +69,19 @@ def motion(step: Step, angle: Channel) -> tuple[float, int]:
     """
     in_step = (angle.time >= step.start) & (angle.time < step.stop) & np.isfinite(angle.values)
     time, values = angle.time[in_step], angle.values[in_step]
-    if len(values) < FEWEST:
+    if len(values) < FEWEST_READINGS:
         raise NotIdentifiable("no angle is recorded")
     steps = np.diff(np.unique(values))
-    threshold = COUNTS * float(steps.min()) if len(steps) else 0.0
+    threshold = LEAST_COUNTS * float(steps.min()) if len(steps) else 0.0
     moved = np.flatnonzero(np.abs(values - values[0]) > threshold)
     if not len(moved):
         raise NotIdentifiable("the shaft did not let go: give a higher current")
-    if moved[0] < FEWEST:
+    if moved[0] < FEWEST_READINGS:
         raise NotIdentifiable("the shaft turned from the beginning")
     return float(time[moved[0]]), int(np.sign(values[moved[0]] - values[0]))
 
 
-def corner(time: Array, along: Array) -> float:
+def plateau_torque(time: Array, along: Array) -> float:
     """Fit a ramp that ends in a plateau, trying each sample as the corner; return the best fit's plateau [N*m]."""
     smallest, plateau = np.inf, float("nan")
     for corner_time in time[len(time) // 4 : -2]:

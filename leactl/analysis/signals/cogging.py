@@ -23,14 +23,14 @@ from leactl.runfile.read.reader import Channel, Run
 Amplitudes = npt.NDArray[np.complex128]
 
 TURN = "turn"
-WHOLE = 2.0 * math.pi
-ORDERS = 600  # highest number of periods a turn, plus one
-PER_PERIOD = 4  # readings that a period must have
+FULL_TURN = 2.0 * math.pi  # rad
+ORDER_COUNT = 600  # orders that are computed: the highest number of periods a turn, plus one
+FEWEST_PER_PERIOD = 4  # readings
 CORRECTION_STD = 0.1  # relative standard uncertainty of the correction for inertia, which may be from a drawing
-FEWEST = 256  # readings of a turn
-GRID = 4096  # angles at which the peak to peak of a shape is taken
-CHANCE = 1e-3  # probability that noise makes any of the harmonics significant
-SHOWN = 512  # angles in the plot
+FEWEST_READINGS = 256  # of a turn
+SHAPE_ANGLES = 4096  # angles at which the peak to peak of a shape is taken
+FALSE_ALARM_PROBABILITY = 1e-3  # that noise makes any of the harmonics significant
+PLOTTED_ANGLES = 512  # angles in the plot
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +71,12 @@ def turns_of(run: Run, number: int, torque: Channel, damping: float) -> Noted[li
         in_turn = (torque.time >= step.start + step.settle) & (torque.time < step.stop) & np.isfinite(torque.values)
         time = torque.time[in_turn]
         angles = np.interp(time, angle.time[angle_known], angle.values[angle_known])
-        if len(time) < FEWEST or np.ptp(angles) < WHOLE:
+        if len(time) < FEWEST_READINGS or np.ptp(angles) < FULL_TURN:
             turned = float(np.ptp(angles)) if len(angles) else 0.0
-            notes.append(f"{run.path} at {step.start:.1f} s: {turned:.2f} rad are no whole turn; it tells no cogging")
+            notes.append(f"{run.path} at {step.start:.1f} s: {turned:.2f} rad are no whole turn; it shows no cogging")
             continue
         direction = 1 if angles[-1] > angles[0] else -1
-        first_turn = np.abs(angles - angles[0]) < WHOLE
+        first_turn = np.abs(angles - angles[0]) < FULL_TURN
         speed = np.interp(time[first_turn], velocity.time[velocity_known], velocity.values[velocity_known])
         uncorrected, ripple = harmonics_over_turn(
             angles[first_turn], np.abs(speed), np.stack([torque.values[in_turn][first_turn], speed])
@@ -91,7 +91,9 @@ def inertia_of(run: Run) -> Noted[float]:
     inertia = rotor_inertia_of_model(run)
     if math.isfinite(inertia):
         return Noted(inertia)
-    return Noted(0.0, (f"{run.path}: no rotor_inertia in its model: what it takes of the cogging is not put back",))
+    return Noted(
+        0.0, (f"{run.path}: no rotor_inertia in its model: the cogging is not corrected for the torque of the inertia",)
+    )
 
 
 def harmonics_over_turn(angle: Array, speed: Array, signals: Array) -> Amplitudes:
@@ -103,9 +105,9 @@ def harmonics_over_turn(angle: Array, speed: Array, signals: Array) -> Amplitude
     """
     weights = speed / speed.sum()
     deviation = signals - (signals @ weights)[:, np.newaxis]
-    orders = min(ORDERS, len(angle) // PER_PERIOD)
+    orders = min(ORDER_COUNT, len(angle) // FEWEST_PER_PERIOD)
     waves = np.exp(-1j * np.outer(angle, np.arange(orders)))
-    amplitudes = np.zeros((len(signals), ORDERS), np.complex128)
+    amplitudes = np.zeros((len(signals), ORDER_COUNT), np.complex128)
     amplitudes[:, :orders] = 2.0 * (deviation * weights) @ waves
     return amplitudes
 
@@ -123,7 +125,7 @@ def cogging_of(turns: Sequence[Turn], gain_std: float) -> Noted[tuple[list[Estim
     directions = [turn.trial.side for turn in turns]
     if len(set(directions)) < 2 or len(turns) < 3:
         raise NotIdentifiable(
-            f"{len(turns)} whole turns in {len(set(directions))} directions tell no cogging: one in each and a repeat"
+            f"{len(turns)} whole turns in {len(set(directions))} directions show no cogging: one in each and a repeat"
             " are needed"
         )
     harmonics = np.array([turn.corrected for turn in turns])
@@ -139,7 +141,7 @@ def cogging_of(turns: Sequence[Turn], gain_std: float) -> Noted[tuple[list[Estim
             Estimate("cogging_amplitude", NAN, NAN, 0.0, bound, "N*m"),
             Estimate("cogging_peak_to_peak", NAN, NAN, 0.0, 2.0 * bound, "N*m"),
         ]
-        note = f"no part of the torque goes with the angle by more than noise: cogging is below {bound:.2g} N*m"
+        note = f"no part of the torque repeats with the angle by more than noise: cogging is below {bound:.2g} N*m"
         return Noted((bounds, None), (note,))
     largest = int(np.argmax(np.where(significant, np.abs(mean), 0.0)))
     amplitudes, raw_amplitudes = (
@@ -147,7 +149,7 @@ def cogging_of(turns: Sequence[Turn], gain_std: float) -> Noted[tuple[list[Estim
         for name in ("corrected", "uncorrected")
     )
     orders = np.flatnonzero(significant)
-    angles = np.linspace(0.0, WHOLE, GRID, endpoint=False)
+    angles = np.linspace(0.0, FULL_TURN, SHAPE_ANGLES, endpoint=False)
     peak_to_peaks, raw_peak_to_peaks = (
         np.array([np.ptp(shape(getattr(turn, name), orders, angles)) for turn in turns])
         for name in ("corrected", "uncorrected")
@@ -171,9 +173,9 @@ def cogging_of(turns: Sequence[Turn], gain_std: float) -> Noted[tuple[list[Estim
     ]
     largest_first = orders[np.argsort(-np.abs(mean[orders]))][:6]
     listed_orders = ", ".join(f"{order} ({abs(mean[order]):.2g} N*m)" for order in largest_first)
-    drawn = angles[:: GRID // SHOWN]
+    drawn = angles[:: SHAPE_ANGLES // PLOTTED_ANGLES]
     line = Series("cogging", tuple(drawn.tolist()), tuple(shape(mean, orders, drawn).tolist()))
-    plot = Plot("angle [rad]", "torque that goes with the angle [N*m]", (), (line,))
+    plot = Plot("angle [rad]", "cogging torque [N*m]", (), (line,))
     return Noted((results, plot), (f"cogging, by periods a turn: {listed_orders}",))
 
 
@@ -203,10 +205,13 @@ def standard_errors(turns: Sequence[Turn], harmonics: Amplitudes, weights: Array
 
 
 def significant_harmonics(mean: Amplitudes, error: Array) -> npt.NDArray[np.bool_]:
-    """Return which harmonics are significant, shape (orders,); noise makes any of them so with probability `CHANCE`."""
+    """Return which harmonics are significant, shape (orders,).
+
+    Noise makes any of them significant with the probability `FALSE_ALARM_PROBABILITY`.
+    """
     noise = np.where(error > 0.0, error, np.inf)
     tested = max(int(np.count_nonzero(error[1:] > 0.0)), 1)
-    threshold = math.log(tested / CHANCE)
+    threshold = math.log(tested / FALSE_ALARM_PROBABILITY)
     significant: npt.NDArray[np.bool_] = np.abs(mean) ** 2 > threshold * noise**2
     significant[0] = False
     return significant

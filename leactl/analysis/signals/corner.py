@@ -23,7 +23,7 @@ from leactl.runfile.read.reader import Run
 
 NAME, UNIT = "corner_speed", "rad/s"
 FEWEST_LIMITED = 4  # holds beyond the corner: one more than the unknowns of the fit
-SAME_SPEED = 0.005  # of the fastest hold: holds whose speeds differ by less count as repeats
+SAME_SPEED_WITHIN = 0.005  # of the fastest hold; holds whose speeds differ by less count as repeats
 REACTANCE_STD = 0.1  # relative standard uncertainty of the model's n L / Kb
 LEAST_ROOT = 1e-9  # of the voltage squared: lower bound of the root's argument during the iterations
 MOST_ITERATIONS = 20  # Gauss-Newton; it converges in four
@@ -132,15 +132,15 @@ def fit_corner(holds: SpeedHolds, reactance: float, error_prefix: str) -> tuple[
     return value, fit.combined(gradient)[1], fit.dof
 
 
-def groups_of(speed: Array) -> npt.NDArray[np.int64]:
+def speed_groups(speed: Array) -> npt.NDArray[np.int64]:
     """Return a group number for each speed, the same for repeats, shape (holds,)."""
     order = np.argsort(speed)
     groups = np.empty(len(speed), np.int64)
-    groups[order] = np.cumsum(np.concatenate([[0], np.diff(speed[order]) > SAME_SPEED * float(np.max(speed))]))
+    groups[order] = np.cumsum(np.concatenate([[0], np.diff(speed[order]) > SAME_SPEED_WITHIN * float(np.max(speed))]))
     return groups
 
 
 def repeats_of(holds: SpeedHolds) -> npt.NDArray[np.int64]:
     """Return how often the same speed was driven before each hold, shape (holds,)."""
-    groups = groups_of(holds.speed)
+    groups = speed_groups(holds.speed)
     return np.array([int(np.sum(groups[:index] == group)) for index, group in enumerate(groups)])

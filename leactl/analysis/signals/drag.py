@@ -18,34 +18,34 @@ from leactl.runfile.read.reader import Run
 
 VELOCITY = "velocity"
 FEWEST_LEVELS = 4  # distinct speeds: one more than f, b and c need
-MISSED = 0.05  # of the setpoint: a level whose velocity differs by more was not reached
-AGAINST = 0.5  # of the setpoint: a velocity of opposite sign beyond this has the wrong sign
-UNSTEADY = 0.02  # of the setpoint: a larger difference between the quarters of a settled part is unsteady
+MOST_SPEED_ERROR = 0.05  # of the setpoint; a level whose velocity differs by more was not reached
+LEAST_OPPOSITE = 0.5  # of the setpoint; a larger velocity of opposite sign has the wrong sign
+MOST_QUARTER_CHANGE = 0.02  # of the setpoint, by which the quarters of a settled part may differ
 UNITS = {"viscous_damping": "N*m*s/rad", "coulomb_friction": "N*m", "quadratic_drag": "N*m*s^2/rad^2"}
 
 
-def at_setpoint(runs: Sequence[Run], levels: HoldMeans, error_prefix: str) -> Noted[HoldMeans]:
+def holds_at_setpoint(runs: Sequence[Run], levels: HoldMeans, error_prefix: str) -> Noted[HoldMeans]:
     """Return the holds in which the shaft turned steadily at its setpoint; notes name the other holds and the reasons.
 
     Raises
     ------
     NotIdentifiable : these holds have fewer than four distinct speeds.
     """
-    velocity, setpoint, quarters = levels.value[VELOCITY], levels.setpoint, levels.quarters[VELOCITY]
-    unsteady = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1) > UNSTEADY * np.abs(setpoint)
+    velocity, setpoint, quarters = levels.means[VELOCITY], levels.setpoint, levels.quarter_means[VELOCITY]
+    unsteady = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1) > MOST_QUARTER_CHANGE * np.abs(setpoint)
     opposite = velocity * setpoint < 0.0
     reasons = {
         "the shaft was to stand": setpoint == 0.0,
         "the velocity has the opposite sign of its setpoint": opposite
-        & (np.abs(velocity) > AGAINST * np.abs(setpoint)),
-        "the velocity was not reached": np.abs(velocity - setpoint) > MISSED * np.abs(setpoint),
+        & (np.abs(velocity) > LEAST_OPPOSITE * np.abs(setpoint)),
+        "the velocity was not reached": np.abs(velocity - setpoint) > MOST_SPEED_ERROR * np.abs(setpoint),
         "the velocity was not steady": unsteady,
     }
     usable = np.ones(len(levels), np.bool_)
     notes = []
     for reason, applies in reasons.items():
-        for number in np.unique(levels.run[applies & usable]):
-            indices = np.flatnonzero(applies & usable & (levels.run == number))
+        for number in np.unique(levels.run_index[applies & usable]):
+            indices = np.flatnonzero(applies & usable & (levels.run_index == number))
             notes += tally({reason: [str(levels.holds[index]) for index in indices]}, f"{runs[number].path}")
         usable &= ~applies
     distinct = len(np.unique(np.round(np.abs(setpoint[usable]), 9)))
@@ -63,16 +63,16 @@ def fit_drag(levels: HoldMeans, torque: Array, error_prefix: str) -> LineFit:
 
     Where the shaft turned in one direction only, the Coulomb friction contains that zero.
     """
-    velocity = levels.value[VELOCITY]
+    velocity = levels.means[VELOCITY]
     columns = {"viscous_damping": velocity, "quadratic_drag": velocity * np.abs(velocity)}
-    if both_ways(levels):
+    if turned_both_ways(levels):
         columns["coulomb_friction"] = np.sign(velocity)
     return fit_lines(columns, torque, levels, error_prefix)
 
 
-def both_ways(levels: HoldMeans) -> bool:
+def turned_both_ways(levels: HoldMeans) -> bool:
     """Return whether the shaft turned in both directions."""
-    return len(np.unique(np.sign(levels.value[VELOCITY]))) == 2
+    return len(np.unique(np.sign(levels.means[VELOCITY]))) == 2
 
 
 def coefficients(line: LineFit, relative_std: float = 0.0) -> list[Estimate]:
@@ -84,7 +84,7 @@ def coefficients(line: LineFit, relative_std: float = 0.0) -> list[Estimate]:
     if "coulomb_friction" in line.slopes:
         estimates.append(line.estimate("coulomb_friction", "coulomb_friction", UNITS["coulomb_friction"], relative_std))
     else:
-        weights = line.mean_intercept * float(np.sign(line.levels.value[VELOCITY][0]))
+        weights = line.mean_intercept * float(np.sign(line.levels.means[VELOCITY][0]))
         estimates.append(line.fit.estimate("coulomb_friction", UNITS["coulomb_friction"], weights, relative_std))
     return [*estimates, line.estimate("quadratic_drag", "quadratic_drag", UNITS["quadratic_drag"], relative_std)]
 
@@ -95,7 +95,7 @@ def weights_at(line: LineFit, speed: float) -> Array:
     weights = np.zeros(len(line.fit.coefficients))
     weights[: len(line.slopes)] = [terms[name] for name in line.slopes]
     if "coulomb_friction" not in line.slopes:
-        weights += line.mean_intercept * float(np.sign(line.levels.value[VELOCITY][0]))
+        weights += line.mean_intercept * float(np.sign(line.levels.means[VELOCITY][0]))
     return weights
 
 

@@ -19,10 +19,10 @@ Array = npt.NDArray[np.float64]
 
 DIRECTIONS = {"rising": 1, "falling": -1}
 FEWEST_SAMPLES = 3
-LEAST_COVERED = 0.5  # of a settled part, that the samples must span
-MISSING_SHARE = 0.01  # of the samples; a note names a larger share
-RESOLVED = 10.0  # spread of the levels over the standard error of one: with more, the setpoint is a strong instrument
-WINDOW = 5.0  # lags summed, in integrated autocorrelation times (Sokal 1997, section 3)
+LEAST_COVERED_SHARE = 0.5  # of a settled part, that its samples must span
+MOST_MISSING_SHARE = 0.01  # of the samples; a note names a larger share
+LEAST_SPREAD_RATIO = 10.0  # spread of the levels over the error of one; below it, these errors bias the slope
+SOKAL_WINDOW = 5.0  # lags summed over the integrated autocorrelation time (Sokal 1997, section 3)
 
 
 @dataclass(frozen=True)
@@ -52,30 +52,30 @@ class SettledMean:
 
 @dataclass(frozen=True, eq=False)
 class HoldMeans:
-    """Settled means of every hold of some runs; element k of each array belongs to hold k."""
+    """Settled means of every hold of some runs; element k of each array, shape (holds,), belongs to hold k."""
 
-    run: npt.NDArray[np.int64]
+    run_index: npt.NDArray[np.int64]
     setpoint: Array
     direction: npt.NDArray[np.int64]
-    value: Mapping[str, Array]  # by quantity
-    std: Mapping[str, Array]
-    quarters: Mapping[str, Array]  # (holds, 4)
+    means: Mapping[str, Array]  # by quantity
+    standard_errors: Mapping[str, Array]  # of the means
+    quarter_means: Mapping[str, Array]  # means of the four quarters, shape (holds, 4)
     holds: tuple[Hold, ...]
     units: Mapping[str, str]
 
     def __len__(self) -> int:
-        return len(self.run)
+        return len(self.run_index)
 
     def where(self, mask: npt.NDArray[np.bool_]) -> "HoldMeans":
         """Return the holds for which `mask`, of shape (holds,), is true."""
         return replace(
             self,
-            run=self.run[mask],
+            run_index=self.run_index[mask],
             setpoint=self.setpoint[mask],
             direction=self.direction[mask],
-            value={name: column[mask] for name, column in self.value.items()},
-            std={name: column[mask] for name, column in self.std.items()},
-            quarters={name: column[mask] for name, column in self.quarters.items()},
+            means={name: column[mask] for name, column in self.means.items()},
+            standard_errors={name: column[mask] for name, column in self.standard_errors.items()},
+            quarter_means={name: column[mask] for name, column in self.quarter_means.items()},
             holds=tuple(hold for hold, selected in zip(self.holds, mask, strict=True) if selected),
         )
 
@@ -106,7 +106,7 @@ class HoldSelector:
 CURRENT_HOLDS = HoldSelector("current_A", "A")
 
 
-def held_levels(run: Run) -> list[Hold]:
+def current_holds(run: Run) -> list[Hold]:
     """Return the holds of the test actuator's current, in order."""
     return CURRENT_HOLDS.holds_of(run)
 
@@ -121,7 +121,7 @@ def gather_means(
 
     Parameters
     ----------
-    quantities : of the channels; each has an entry in `value`, `std` and `quarters` of the answer.
+    quantities : of the channels; each has an entry in `means`, `standard_errors` and `quarter_means` of the answer.
     read : returns the channel of a quantity, NaN for readings that must not count.
     hold_selector : selects the holds.
 
@@ -147,18 +147,18 @@ def gather_means(
         run_rows = _rows_of(run, number, channels, hold_selector)
         rows += run_rows.value
         notes += [*(note for reading in readings for note in reading.notes), *run_rows.notes]
-    columns = {quantity: [means[index] for _, _, means in rows] for index, quantity in enumerate(quantities)}
-    levels = HoldMeans(
-        run=np.array([number for number, _, _ in rows]),
+    columns = {quantity: [row_means[index] for _, _, row_means in rows] for index, quantity in enumerate(quantities)}
+    hold_means = HoldMeans(
+        run_index=np.array([number for number, _, _ in rows]),
         setpoint=np.array([hold.setpoint for _, hold, _ in rows]),
         direction=np.array([hold.direction for _, hold, _ in rows]),
-        value={name: np.array([mean.value for mean in means]) for name, means in columns.items()},
-        std={name: np.array([mean.std for mean in means]) for name, means in columns.items()},
-        quarters={name: np.array([mean.quarters for mean in means]) for name, means in columns.items()},
+        means={name: np.array([mean.value for mean in means]) for name, means in columns.items()},
+        standard_errors={name: np.array([mean.std for mean in means]) for name, means in columns.items()},
+        quarter_means={name: np.array([mean.quarters for mean in means]) for name, means in columns.items()},
         holds=tuple(hold for _, hold, _ in rows),
         units=units,
     )
-    return Noted(levels, tuple(notes))
+    return Noted(hold_means, tuple(notes))
 
 
 def _rows_of(
@@ -182,7 +182,7 @@ def _rows_of(
     for index, channel in enumerate(channels):
         missing = sum(means[index].missing for _, _, means in rows)
         share = missing / (missing + sum(means[index].samples for _, _, means in rows))
-        if share > MISSING_SHARE:
+        if share > MOST_MISSING_SHARE:
             notes.append(
                 f"{run.path}: {share:.1%} of the samples of {channel.quantity} in the settled parts are missing"
             )
@@ -195,7 +195,7 @@ def settled_mean(channel: Channel, start: float, stop: float) -> SettledMean | N
     values, time = channel.values[samples_in], channel.time[samples_in]
     finite = np.isfinite(values)
     count = int(finite.sum())
-    if count < FEWEST_SAMPLES or np.ptp(time[finite]) < LEAST_COVERED * (stop - start):
+    if count < FEWEST_SAMPLES or np.ptp(time[finite]) < LEAST_COVERED_SHARE * (stop - start):
         return None
     quarter = np.minimum(((time[finite] - start) / (stop - start) * 4).astype(np.int64), 3)
     counts = np.bincount(quarter, minlength=4)
@@ -219,8 +219,8 @@ def samples_between(channel: Channel, start: float, stop: float) -> slice:
 def standard_error(values: Array) -> float:
     """Return the standard error of the mean of an evenly sampled, autocorrelated record; NaN samples are gaps.
 
-    It is sqrt(variance * tau / n), where tau is one plus twice the sum of the autocorrelation up to five tau (Sokal,
-    Monte Carlo Methods in Statistical Mechanics, 1997, section 3), and at least one.
+    It is sqrt(variance * tau / n), where tau is one plus twice the sum of the autocorrelation up to `SOKAL_WINDOW` tau
+    (Sokal, Monte Carlo Methods in Statistical Mechanics, 1997, section 3), and at least one.
     """
     finite = np.isfinite(values)
     count = int(finite.sum())
@@ -234,8 +234,8 @@ def standard_error(values: Array) -> float:
     spectrum = np.fft.rfft(deviation, size)
     correlation = np.fft.irfft(np.abs(spectrum) ** 2, size)[: len(values)] / square_sum
     tau = 2.0 * np.cumsum(correlation) - 1.0
-    long_enough = np.flatnonzero(np.arange(len(tau)) >= WINDOW * tau)
-    correlation_samples = float(tau[long_enough[0]]) if len(long_enough) else len(values) / WINDOW
+    long_enough = np.flatnonzero(np.arange(len(tau)) >= SOKAL_WINDOW * tau)
+    correlation_samples = float(tau[long_enough[0]]) if len(long_enough) else len(values) / SOKAL_WINDOW
     return math.sqrt(square_sum / (count - 1) * max(correlation_samples, 1.0) / count)
 
 
@@ -249,9 +249,10 @@ def require_levels(error_prefix: str, regressor: str, quantity: str, levels: Hol
 
     Raises
     ------
-    NotIdentifiable : fewer than two distinct setpoints, or means spread by at most `RESOLVED` times their error.
+    NotIdentifiable : fewer than two distinct setpoints, or means whose spread is at most `LEAST_SPREAD_RATIO` times
+        their error.
     """
-    means, errors = levels.value[quantity], levels.std[quantity]
+    means, errors = levels.means[quantity], levels.standard_errors[quantity]
     distinct = np.unique(np.round(levels.setpoint, 9))
     if len(distinct) < 2:
         raise NotIdentifiable(
@@ -259,8 +260,8 @@ def require_levels(error_prefix: str, regressor: str, quantity: str, levels: Hol
             "two distinct levels or more are needed"
         )
     spread, error = float(np.std(means)), math.sqrt(float(np.mean(errors**2)))
-    if spread <= RESOLVED * error:
+    if spread <= LEAST_SPREAD_RATIO * error:
         raise NotIdentifiable(
             f"{error_prefix}: the {regressor} of {len(means)} holds is spread by {spread:.2g}, its means are known to"
-            f" {error:.2g}; levels {RESOLVED:g} times further apart than that are needed"
+            f" {error:.2g}; levels {LEAST_SPREAD_RATIO:g} times further apart than that are needed"
         )

@@ -63,7 +63,7 @@ class LineFit:
 
     def common_to_runs(self, slope: str) -> tuple[LeastSquaresFit, PartialFTest | None]:
         """Fit one slope for all runs and the rest for each run; return the fit and the test of whether runs differ."""
-        runs, index = indicator_columns(self.levels.run), self.slopes.index(slope)
+        runs, index = indicator_columns(self.levels.run_index), self.slopes.index(slope)
         column = self.fit.projected[:, [index]]
         others = [self.fit.projected[:, [k]] for k in range(len(self.slopes)) if k != index]
         try:
@@ -96,7 +96,7 @@ def fit_lines(columns: dict[str, Array], response: Array, levels: HoldMeans, err
     ------
     NotIdentifiable : columns that the levels do not tell apart, or no degree of freedom left.
     """
-    run_columns = indicator_columns(levels.run)
+    run_columns = indicator_columns(levels.run_index)
     design = np.column_stack([*columns.values(), run_columns])
     instruments = np.column_stack([levels.setpoint, design[:, 1:]])
     fit = least_squares(design, response, instruments, error_prefix)
@@ -143,11 +143,11 @@ def drift_notes(line: LineFit, units: str) -> list[str]:
     """Return a note on each run whose residuals drift with time, or in which time and levels cannot be told apart."""
     notes, levels, design = [], line.levels, line.fit.projected
     start = np.array([hold.start for hold in levels.holds])
-    for number in np.unique(levels.run):
-        in_run = levels.run == number
+    for number in np.unique(levels.run_index):
+        in_run = levels.run_index == number
         time = np.where(in_run, start - start[in_run].mean(), 0.0)
         unexplained_time = time - design @ np.linalg.lstsq(design, time, rcond=None)[0]
-        of_run = f" of run {number + 1}" if len(np.unique(levels.run)) > 1 else ""
+        of_run = f" of run {number + 1}" if len(np.unique(levels.run_index)) > 1 else ""
         if np.std(unexplained_time) < LEAST_UNEXPLAINED_TIME * np.std(time):
             notes.append(f"levels{of_run} were visited in the order of time: a drift cannot be told from the slope")
             continue
