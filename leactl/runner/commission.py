@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 
 from leactl.analysis.analyze import refuse_altered, refuse_repeated
-from leactl.analysis.heating.narrowing import Accuracy, narrowed
+from leactl.analysis.heating.narrowing import Accuracy, narrow_tolerances
 from leactl.analysis.quality.channel_plausibility import channel_doubts
 from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
@@ -218,7 +218,7 @@ def _narrowed_motor(whole: Request, shipped: Motor, paths: Sequence[Path], optio
         refuse_altered(runs)
         for note in dict.fromkeys(note for run in runs for note in channel_doubts(run)):
             options.tell(note)
-        return narrowed(shipped, runs, options.accuracy)
+        return narrow_tolerances(shipped, runs, options.accuracy)
 
 
 def _store_motor(whole: Request, motor: Motor, paths: Sequence[Path], file: Path) -> Commissioned:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from leactl.analysis.heating.first_guess import LAG_PACE_S, starting_lag, thinned
+from leactl.analysis.heating.first_guess import LAG_RESOLUTION_S, starting_lag, thin_record
 from leactl.analysis.heating.record import HeatingRecord, SupplyRecord
 
 CAPACITANCE, RESISTANCE = 40.0, 0.5  # J/K, ohm
@@ -23,11 +23,11 @@ def record(lag_s=0.0, end_s=600.0):
 
 @pytest.mark.parametrize("lag_s", [0.0, 3.0, -7.5, 20.0])
 def test_the_lag_of_a_clock_to_its_own_pace(lag_s):
-    assert starting_lag(record(lag_s)) == pytest.approx(lag_s, abs=0.5 * LAG_PACE_S)
+    assert starting_lag(record(lag_s)) == pytest.approx(lag_s, abs=0.5 * LAG_RESOLUTION_S)
 
 
 def test_readings_that_are_averaged_keep_what_is_switched_on():
-    whole, thin = record(), thinned(record())
+    whole, thin = record(), thin_record(record())
     assert np.trapezoid(thin.supply.heat, thin.supply.time) == pytest.approx(
         np.trapezoid(whole.supply.heat, whole.supply.time), rel=0.02
     )

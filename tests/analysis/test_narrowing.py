@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leactl.analysis.heating.narrowing import Accuracy, narrowed
+from leactl.analysis.heating.narrowing import Accuracy, narrow_tolerances
 from leactl.errors import AcceptanceFailed, InputError, NotIdentifiable
 from leactl.model.motor import load_motor
 from leactl.runfile.read.reader import Run
@@ -52,7 +52,7 @@ def heated(folder, seed):
 
 def narrowed_by(path, accuracy=None):
     with Run.open(path) as run:
-        return narrowed(LEA, [run], accuracy or Accuracy())
+        return narrow_tolerances(LEA, [run], accuracy or Accuracy())
 
 
 def bound_of(motor):
@@ -124,13 +124,13 @@ def test_a_run_that_is_too_short_narrows_nothing(tmp_path):
 def test_what_two_leads_of_a_delta_heat_is_not_known(tmp_path):
     path = heated(tmp_path, 2)[0]
     with Run.open(path) as run, pytest.raises(InputError, match="a delta; how two leads heat it"):
-        narrowed(LEA.model_copy(update={"winding": "delta"}), [run], Accuracy())
+        narrow_tolerances(LEA.model_copy(update={"winding": "delta"}), [run], Accuracy())
 
 
 def test_a_motor_file_without_tolerances_has_none_to_narrow(tmp_path):
     path = heated(tmp_path, 2)[0]
     with Run.open(path) as run, pytest.raises(InputError, match="no `tolerances:` to narrow"):
-        narrowed(LEA.model_copy(update={"tolerances": None}), [run], Accuracy())
+        narrow_tolerances(LEA.model_copy(update={"tolerances": None}), [run], Accuracy())
 
 
 def test_the_shares_that_the_page_tells_are_those_of_the_code():

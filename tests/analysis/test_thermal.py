@@ -211,7 +211,7 @@ def test_without_ambient_the_air_is_fitted(heated):
 
 def test_an_ambient_that_drifts_is_followed(heated):
     result = analyze_runs([heated.run(ambient=lambda time: 22.0 + 4.0 * time / 9000.0, rate_Hz=1.0)], **EXACT)
-    assert "the air went 3.9 K" in notes(result)
+    assert "the air changed by 3.9 K" in notes(result)
     assert result.find("parallel_thermal_resistance").value == pytest.approx(heated.plant.parallel, rel=0.002)
 
 

@@ -13,8 +13,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from leactl.analysis.heating.first_guess import covered
-from leactl.analysis.heating.network import Unknowns, drive_of, fit_network, measured
+from leactl.analysis.heating.first_guess import frames_with_known_heat
+from leactl.analysis.heating.network import Unknowns, camera_temperatures, drive_of, fit_network
 from leactl.analysis.heating.record import heating_records
 from leactl.runfile.read.reader import Run
 from tests.analysis.heated import HeatedBench
@@ -79,8 +79,8 @@ def test_the_optimum_of_an_ode_solver_a_hundred_times_sooner(tmp_path, figure):
     wa, wh, ha, cw, ch = fit.point[0], *np.exp(fit.point[1:5])
     ours = np.array([1 / wa, wh, ha, cw, ch, *fit.point[5:]])
 
-    record = covered(record, 0.0)
-    seen, drive, count = measured(record), drive_of(record), 0
+    record = frames_with_known_heat(record, 0.0)
+    seen, drive, count = camera_temperatures(record), drive_of(record), 0
 
     def together(point):
         nonlocal count

@@ -15,9 +15,9 @@ import numpy as np
 
 from leactl.analysis.estimate import Covariance, Noted, Result, joined
 from leactl.analysis.heating.estimates import (
-    LATE,
-    LEAST_SEEN,
-    STEADY,
+    LEAST_CONSTANTS_SEEN,
+    REPORTED_STDS,
+    STEADY_STATE_RESULTS,
     camera_results,
     network_results,
     remarks,
@@ -31,8 +31,8 @@ from leactl.analysis.heating.fitted_currents import PAPER_WINDING_LIMIT, current
 from leactl.analysis.heating.network import NetworkFit, Unknowns, fit_network
 from leactl.analysis.heating.parameters import NAMES, Instruments, natural_covariance, thermal_parameters, uncertainty
 from leactl.analysis.heating.plots import plots_of
-from leactl.analysis.heating.record import frames_of, heating_records
-from leactl.analysis.heating.resistance import REFERENCE, resistance_line
+from leactl.analysis.heating.record import frame_count, heating_records
+from leactl.analysis.heating.resistance import REFERENCE_TEMPERATURE, resistance_line
 from leactl.analysis.quality.calibration_uncertainty import gain_std
 from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.run_model import model_of
@@ -136,7 +136,7 @@ def analyze(
     notes += [*phase_of_line.notes, *records.notes]
     fit = fit_network(records.value, Unknowns(camera_offset_std, camera_lag), error_prefix)
     fitted_frames = sum(len(record.time) for record in fit.records)
-    left_out = sum(frames_of(run) for run in runs) - fitted_frames
+    left_out = sum(frame_count(run) for run in runs) - fitted_frames
     if left_out > MOST_LEFT_OUT * fitted_frames:
         notes.append(f"left out {left_out} frames at which the supply was not recorded")
     spread = uncertainty(fit, camera_offset_std)
@@ -144,7 +144,9 @@ def analyze(
     ambients = [float(np.mean(record.ambient)) for record in fit.records if record.ambient is not None]
     widened = widened_by_offset(instruments, fit)
     instruments = widened.value
-    parameters = thermal_parameters(fit, spread, line, instruments, float(np.mean(ambients)) if ambients else REFERENCE)
+    parameters = thermal_parameters(
+        fit, spread, line, instruments, float(np.mean(ambients)) if ambients else REFERENCE_TEMPERATURE
+    )
 
     constants_seen = slow_constants_seen(fit)
     estimates = joined(
@@ -165,8 +167,8 @@ def analyze(
         ["line_current"],
     )
     currents = current_capability(parameters, phase_of_line.value, limit, ambient)
-    if constants_seen < LEAST_SEEN:
-        currents = [without_value(current) if current.name in STEADY else current for current in currents]
+    if constants_seen < LEAST_CONSTANTS_SEEN:
+        currents = [without_value(current) if current.name in STEADY_STATE_RESULTS else current for current in currents]
     notes += remarks(parameters, fit.records, instruments)
     notes.append(
         f"currents take the hottest phase from {ambient:g} to {limit:g} degC; friction and iron loss are not in them"
@@ -190,7 +192,7 @@ def widened_by_offset(instruments: Instruments, fit: NetworkFit) -> Noted[Instru
         if (parameter_index := fit.index_of(index, name)) is not None
     ]
     worst = max(offsets, default=0.0)
-    if worst <= LATE * instruments.camera_offset:
+    if worst <= REPORTED_STDS * instruments.camera_offset:
         return Noted(instruments)
     rise = max(float(np.nanmax(record.winding) - np.nanmin(record.winding)) for record in fit.records)
     camera_gain = math.hypot(instruments.camera_gain, worst / rise)

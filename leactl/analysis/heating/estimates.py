@@ -8,30 +8,30 @@ from dataclasses import replace
 import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Noted
-from leactl.analysis.heating.network import NetworkFit, measured
+from leactl.analysis.heating.network import NetworkFit, camera_temperatures
 from leactl.analysis.heating.parameters import (
     NAMES,
     UNITS,
     FittedParameters,
     Instruments,
     Uncertainty,
-    correlation,
-    natural,
+    correlation_matrix,
     natural_covariance,
-    parallel,
+    natural_parameters,
+    parallel_resistance,
     readings_on,
 )
 from leactl.analysis.heating.record import Array, HeatingRecord
 from leactl.analysis.heating.resistance import ResistanceLine
 from leactl.analysis.statistics.regression import t_quantile
 
-STEADY_K, STEADY_S = 1.0, 1800.0  # steady state: a smaller change in this time
-ENDS_S = 60.0  # averaged at the beginning and end of that time
-TELLING = 0.7  # correlation; a note names a larger one
-PLAIN = 1.05  # times the noise from frame to frame; a note names larger residuals
-LATE = 3.0  # standard deviations; a larger lag or offset is reported
-LEAST_SEEN = 1.0  # slow time constants that a record must cover to determine a steady state
-STEADY = (  # results that follow from the steady state
+STEADY_K, STEADY_S = 1.0, 1800.0  # largest change of a steady state, and the time in which it counts
+END_AVERAGE_S = 60.0  # averaged at the beginning and end of that time
+NOTED_CORRELATION = 0.7  # a note names a larger one
+NOTED_OVER_NOISE = 1.05  # residuals over the noise from frame to frame; a note names a larger ratio
+REPORTED_STDS = 3.0  # of a lag or an offset; a note names a larger one
+LEAST_CONSTANTS_SEEN = 1.0  # slow time constants that a record must cover to determine a steady state
+STEADY_STATE_RESULTS = (  # results that follow from the steady state
     "winding_ambient_resistance",
     "housing_ambient_resistance",
     "parallel_thermal_resistance",
@@ -48,15 +48,17 @@ def network_results(parameters: FittedParameters, constants_seen: float) -> Note
     """
     notes = []
     estimates = [
-        parameters.estimate(name, units, lambda moved, index=index: float(natural(moved)[index]))  # type: ignore[misc]
+        parameters.estimate(name, units, lambda moved, index=index: float(natural_parameters(moved)[index]))  # type: ignore[misc]
         for index, (name, units) in enumerate(zip(NAMES[:5], UNITS[:5], strict=True))
     ]
-    estimates.append(parameters.estimate("parallel_thermal_resistance", "K/W", parallel))
-    if constants_seen < LEAST_SEEN:
-        estimates = [without_value(estimate) if estimate.name in STEADY else estimate for estimate in estimates]
+    estimates.append(parameters.estimate("parallel_thermal_resistance", "K/W", parallel_resistance))
+    if constants_seen < LEAST_CONSTANTS_SEEN:
+        estimates = [
+            without_value(estimate) if estimate.name in STEADY_STATE_RESULTS else estimate for estimate in estimates
+        ]
         notes.append(
             f"heating and cooling were followed for {constants_seen:.2g} time constants of the housing at the longest,"
-            f" {LEAST_SEEN:g} is the least that tells a steady state"
+            f" {LEAST_CONSTANTS_SEEN:g} is the least that tells a steady state"
         )
     notes += not_identifiable(estimates)
     if not math.isfinite(estimates[0].value):
@@ -116,27 +118,27 @@ def resistance_results(
 def residual_results(fit: NetworkFit, uncertainty: Uncertainty) -> Noted[list[Estimate]]:
     """Return the root mean squares of the residuals [K], and their ratio to the noise from frame to frame.
 
-    Where the ratio is above `PLAIN`, a note states the size and decay time of the drift.
+    Where the ratio is above `NOTED_OVER_NOISE`, a note states the size and decay time of the drift.
     """
     residuals = [np.concatenate([residual[node] for residual in fit.residuals]) for node in (0, 1)]
     rms = [math.sqrt(float(np.nanmean(node_residuals**2))) for node_residuals in residuals]
     rms_of_both = math.sqrt(float(np.nanmean(np.concatenate(residuals) ** 2)))
-    noise = [noise_of([measured(record)[node] for record in fit.records]) for node in (0, 1)]
+    noise = [noise_of([camera_temperatures(record)[node] for record in fit.records]) for node in (0, 1)]
     counts = [int(np.isfinite(node_residuals).sum()) for node_residuals in residuals]
     expected = math.sqrt(sum(count * std**2 for count, std in zip(counts, noise, strict=True)) / sum(counts))
     over_noise = rms_of_both / expected if expected > 0.0 else NAN
     drift, decay_time = np.sqrt(np.diag(uncertainty.scatter.drift)), uncertainty.scatter.decay_time
     note = (
         f"residuals are {over_noise:.2f} times the noise from frame to frame: a drift of {drift[0]:.2g} K at the"
-        f" winding and {drift[1]:.2g} K at the housing that lasts {decay_time:.0f} s, of the camera, the air or of"
-        " what two bodies do not show; the intervals count it in"
+        f" winding and {drift[1]:.2g} K at the housing that lasts {decay_time:.0f} s, by the camera, the air or a heat"
+        " flow that two bodies cannot show; the intervals include it"
     )
     in_kelvin = {"rmse": rms_of_both, "rmse_winding": rms[0], "rmse_housing": rms[1]}
     estimates = [
         *(Estimate(name, value, NAN, NAN, NAN, "K") for name, value in in_kelvin.items()),
         Estimate("rmse_over_noise", over_noise, NAN, NAN, NAN, "1"),
     ]
-    return Noted(estimates, (note,) if over_noise > PLAIN else ())
+    return Noted(estimates, (note,) if over_noise > NOTED_OVER_NOISE else ())
 
 
 def noise_of(columns: Sequence[Array]) -> float:
@@ -158,22 +160,26 @@ def steadiness(records: Sequence[HeatingRecord]) -> Noted[list[Estimate]]:
             continue
         stop = float(heated_times[-1])
         start = max(stop - STEADY_S, float(record.time[0]))
-        if stop - start < 0.99 * STEADY_S or not record.supply.on[record.supply.time > start + ENDS_S].any():
+        if stop - start < 0.99 * STEADY_S or not record.supply.on[record.supply.time > start + END_AVERAGE_S].any():
             changes.append(NAN)
             continue
-        early, late = ((record.time >= begin) & (record.time < begin + ENDS_S) for begin in (start, stop - ENDS_S))
+        early, late = (
+            (record.time >= begin) & (record.time < begin + END_AVERAGE_S) for begin in (start, stop - END_AVERAGE_S)
+        )
         with np.errstate(invalid="ignore"):
-            node_changes = [float(np.nanmean(row[late]) - np.nanmean(row[early])) for row in measured(record)]
+            node_changes = [
+                float(np.nanmean(row[late]) - np.nanmean(row[early])) for row in camera_temperatures(record)
+            ]
         changes.append(max(node_changes, key=abs))
     finite = [change for change in changes if math.isfinite(change)]
     worst = max(finite, key=abs, default=NAN)
     notes = []
     if not finite:
-        notes.append("heated for less than 30 min: no steady state, and what hangs on it has a wide interval")
+        notes.append("heated for less than 30 min: no steady state, and results that depend on one have wide intervals")
     elif abs(worst) > STEADY_K:
         notes.append(
             f"no steady state: {worst:+.1f} K in the last 30 min of heating, at most {STEADY_K:g} K was expected;"
-            " what hangs on it has a wider interval"
+            " results that depend on one have wider intervals"
         )
     return Noted([Estimate("change_in_30_min", worst, NAN, NAN, NAN, "K")], tuple(notes))
 
@@ -182,7 +188,7 @@ def camera_results(fit: NetworkFit, uncertainty: Uncertainty, offset_std: float)
     """Estimate the lag of the camera's clock [s] and the camera's offsets [K]; the list is empty for several records.
 
     `offset_std` is the standard uncertainty of the camera's zero [K]. Notes name the lags and offsets of all records
-    that are more than `LATE` standard deviations.
+    that are more than `REPORTED_STDS` standard deviations.
     """
     units = {"lag": "s", "offset_winding": "K", "offset_housing": "K"}
     estimates, notes = [], []
@@ -195,11 +201,11 @@ def camera_results(fit: NetworkFit, uncertainty: Uncertainty, offset_std: float)
             value, std = float(fit.point[index]), math.sqrt(variance)
             half = t_quantile(math.inf) * std
             estimates.append(Estimate(f"camera_{name}", value, std, value - half, value + half, unit))
-            if name == "lag" and abs(value) > max(LATE * std, 2.0 * float(np.median(np.diff(record.time)))):
+            if name == "lag" and abs(value) > max(REPORTED_STDS * std, 2.0 * float(np.median(np.diff(record.time)))):
                 notes.append(
                     f"{record.run_path}: the camera's clock is {value:.2f} s behind the supply's; taken into account"
                 )
-            if name != "lag" and abs(value) > LATE * math.hypot(offset_std, std):
+            if name != "lag" and abs(value) > REPORTED_STDS * math.hypot(offset_std, std):
                 notes.append(
                     f"{record.run_path}: {name.removeprefix('offset_')} reads {value:+.1f} K off the sensor of the air,"
                     f" more than the camera's {offset_std:g} K explain: units, emissivity, or air of another place"
@@ -209,12 +215,12 @@ def camera_results(fit: NetworkFit, uncertainty: Uncertainty, offset_std: float)
 
 def remarks(parameters: FittedParameters, records: Sequence[HeatingRecord], instruments: Instruments) -> list[str]:
     """Return notes on correlations, the assumed uncertainties of the instruments, and the range of the ambient."""
-    table, notes = correlation(natural_covariance(parameters)), []
+    table, notes = correlation_matrix(natural_covariance(parameters)), []
     pairs = [
         (abs(table[row, column]), row, column)
         for row in range(5)
         for column in range(row)
-        if abs(table[row, column]) > TELLING
+        if abs(table[row, column]) > NOTED_CORRELATION
     ]
     correlations = [
         f"{table[row, column]:+.2f} of {NAMES[column]} and {NAMES[row]}"
@@ -230,11 +236,11 @@ def remarks(parameters: FittedParameters, records: Sequence[HeatingRecord], inst
         readings = readings_on(records, name)
         if all(np.ptp(values) == 0.0 for values in readings):
             levels = " and ".join(f"{level:g}" for level in sorted({float(values[0]) for values in readings}))
-            notes.append(f"line_{name} reads {levels} throughout: its resolution does not show; tell {name}_gain_std")
+            notes.append(f"line_{name} reads {levels} throughout: its resolution does not show; give {name}_gain_std")
     ambient_ranges = [float(np.ptp(_smooth(record.ambient))) for record in records if record.ambient is not None]
     if max(ambient_ranges, default=0.0) > STEADY_K:
         notes.append(
-            f"the air went {max(ambient_ranges):.1f} K up and down; the network is driven by what was read of it"
+            f"the air changed by {max(ambient_ranges):.1f} K; the network is driven by its measured temperature"
         )
     return notes
 

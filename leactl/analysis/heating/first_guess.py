@@ -1,4 +1,4 @@
-"""Starting point of the fit of a thermal network: a thinned record, first guesses, the lag of the camera's clock."""
+"""Starting point of the fit of a thermal network: a thin record, first guesses, the lag of the camera's clock."""
 
 import math
 from collections.abc import Sequence
@@ -8,46 +8,44 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import correlate, correlation_lags
 
-from leactl.analysis.heating.record import FEWEST, LONGEST_LAG_S, Array, HeatingRecord, SupplyRecord
+from leactl.analysis.heating.record import FEWEST_FRAMES, LONGEST_LAG_S, Array, HeatingRecord, SupplyRecord
 from leactl.errors import NotIdentifiable
 
-THIN_S = 2.0  # sampling interval of the thinned record for the first fit
-SHARES = (0.05, 0.4)  # first guesses of the share of heat that bypasses the housing
+THIN_INTERVAL_S = 2.0  # of the thin record for the first fit
+BYPASS_SHARES = (0.05, 0.4)  # first guesses of the share of heat that bypasses the housing
 CAPACITANCE_RATIOS = (10.0, 40.0)  # first guesses of the housing's capacitance over the winding's
-LAG_PACE_S, LAG_SPAN_S = 0.5, 6.0  # resolution of the search for a lag; the time over which slopes are taken
-LAG_EDGE = 6.0  # times the median correlation, which the peak has to exceed
-MARGIN_S = 1.0  # error of the lag that remains after the search
+LAG_RESOLUTION_S, SLOPE_SPAN_S = 0.5, 6.0  # steps of the search for a lag, and the time over which slopes are taken
+LEAST_PEAK_RATIO = 6.0  # peak of the correlation over its median; a lower peak tells no lag
+LAG_MARGIN_S = 1.0  # error of the lag after the search; frames so near the ends of the supply's record are left out
 
 
-def covered(record: HeatingRecord, lag: float) -> HeatingRecord:
+def frames_with_known_heat(record: HeatingRecord, lag: float) -> HeatingRecord:
     """Return a record with only the frames at which its heat is known; the camera's clock is late by `lag` [s].
 
     Raises
     ------
-    NotIdentifiable : fewer than `FEWEST` such frames have both temperatures.
+    NotIdentifiable : fewer than `FEWEST_FRAMES` such frames have both temperatures.
     """
-    ends = record.supply.time[[0, -1]] + lag + np.array([MARGIN_S, -MARGIN_S])
+    ends = record.supply.time[[0, -1]] + lag + np.array([LAG_MARGIN_S, -LAG_MARGIN_S])
     start, stop = np.searchsorted(record.time, ends)
     frames = slice(int(start), int(stop))
-    covered_part = replace(
-        record, **{name: getattr(record, name)[frames] for name in ("time", "winding", "housing", "active")}
-    )
-    if np.isfinite(covered_part.winding + covered_part.housing).sum() < FEWEST:
+    kept = replace(record, **{name: getattr(record, name)[frames] for name in ("time", "winding", "housing", "active")})
+    if np.isfinite(kept.winding + kept.housing).sum() < FEWEST_FRAMES:
         raise NotIdentifiable(
             f"{record.run_path}: the camera's clock is {lag:g} s late by the supply's, so that few frames have a heat"
         )
-    return covered_part
+    return kept
 
 
-def thinned(record: HeatingRecord) -> HeatingRecord:
-    """Return a record whose frames and heat are averaged over `THIN_S`."""
+def thin_record(record: HeatingRecord) -> HeatingRecord:
+    """Return a record whose frames and heat are averaged over `THIN_INTERVAL_S`."""
     supply = record.supply
-    edges = np.arange(supply.time[0], supply.time[-1], THIN_S)
-    heat = np.concatenate([[0.0], np.diff(np.interp(edges, supply.time, energy(supply)))]) / THIN_S
+    edges = np.arange(supply.time[0], supply.time[-1], THIN_INTERVAL_S)
+    heat = np.concatenate([[0.0], np.diff(np.interp(edges, supply.time, energy(supply)))]) / THIN_INTERVAL_S
     root = np.sqrt(np.maximum(heat, 0.0))  # current and voltage at 1 ohm, so that their product is the heat
-    means = SupplyRecord(edges, root, root, True)
+    means = SupplyRecord(edges, current=root, voltage=root, means=True)
     ambient = None if record.ambient is None else np.interp(edges, supply.time, record.ambient)
-    bins = ((record.time - record.time[0]) / THIN_S).astype(np.int64)
+    bins = ((record.time - record.time[0]) / THIN_INTERVAL_S).astype(np.int64)
     columns = {name: _binned(bins, getattr(record, name)) for name in ("time", "winding", "housing", "active")}
     inside = np.isfinite(columns["time"]) & (columns["time"] < edges[-1])
     inside_columns = {name: column[inside] for name, column in columns.items()}
@@ -61,11 +59,11 @@ def energy(supply: SupplyRecord) -> Array:
     return np.asarray(cumulative_trapezoid(supply.heat, supply.time, initial=0.0), np.float64)
 
 
-def guesses(thin_records: Sequence[HeatingRecord]) -> list[Array]:
+def starting_points(thin_records: Sequence[HeatingRecord]) -> list[Array]:
     """Return starting points for the fit of a two-node network, from the record with the largest rise.
 
     The record counts as nearly steady at its end, so that rises over heat give the resistances; its housing's time to
-    half of its rise gives the time constant. Shares and ratios that no rise tells are tried (`SHARES`,
+    half of its rise gives the time constant. Shares and ratios that no rise tells are tried (`BYPASS_SHARES`,
     `CAPACITANCE_RATIOS`).
 
     Returns
@@ -84,10 +82,12 @@ def guesses(thin_records: Sequence[HeatingRecord]) -> list[Array]:
     heat = float(np.mean(supply.heat[supply.on]))
     above_half = np.flatnonzero(housing - cold > 0.5 * housing_rise)
     time_constant = (
-        max(float(hottest.time[above_half[0]] - hottest.time[0]), THIN_S) / math.log(2.0) if len(above_half) else 1e3
+        max(float(hottest.time[above_half[0]] - hottest.time[0]), THIN_INTERVAL_S) / math.log(2.0)
+        if len(above_half)
+        else 1e3
     )
     points = []
-    for share in SHARES:
+    for share in BYPASS_SHARES:
         heat_into_housing = heat * (1.0 - share)
         to_housing, to_ambient = difference / heat_into_housing, housing_rise / heat_into_housing
         for capacitance_ratio in CAPACITANCE_RATIOS:
@@ -101,29 +101,29 @@ def guesses(thin_records: Sequence[HeatingRecord]) -> list[Array]:
 def starting_lag(record: HeatingRecord) -> float:
     """Estimate the lag of the camera's clock [s] by correlating its slopes with the heat; zero without a clear peak."""
     supply = record.supply
-    edges = np.arange(supply.time[0], supply.time[-1], LAG_PACE_S)
-    heat = np.diff(np.interp(edges, supply.time, energy(supply))) / LAG_PACE_S
+    edges = np.arange(supply.time[0], supply.time[-1], LAG_RESOLUTION_S)
+    heat = np.diff(np.interp(edges, supply.time, energy(supply))) / LAG_RESOLUTION_S
     finite = np.isfinite(record.winding)
-    grid = np.arange(record.time[0], record.time[-1], LAG_PACE_S)
-    bins = np.clip(((record.time - grid[0]) / LAG_PACE_S).astype(np.int64), 0, len(grid) - 1)[finite]
+    grid = np.arange(record.time[0], record.time[-1], LAG_RESOLUTION_S)
+    bins = np.clip(((record.time - grid[0]) / LAG_RESOLUTION_S).astype(np.int64), 0, len(grid) - 1)[finite]
     count = np.bincount(bins, minlength=len(grid))
     means = np.bincount(bins, record.winding[finite], len(grid)) / np.maximum(count, 1)
     filled = count > 0
     winding = np.interp(grid, grid[filled], means[filled])
-    span = round(LAG_SPAN_S / LAG_PACE_S)
+    span = round(SLOPE_SPAN_S / LAG_RESOLUTION_S)
     if min(len(heat), len(winding)) < 6 * span:
         return 0.0
     energies = np.cumsum(heat)
     heat_steps, temperature_bends = (_slope_change(values, span) for values in (energies, winding))
     correlation = correlate(temperature_bends, heat_steps)
-    lags = correlation_lags(len(temperature_bends), len(heat_steps)) * LAG_PACE_S + float(
-        grid[0] + 0.5 * LAG_PACE_S - edges[1]
+    lags = correlation_lags(len(temperature_bends), len(heat_steps)) * LAG_RESOLUTION_S + float(
+        grid[0] + 0.5 * LAG_RESOLUTION_S - edges[1]
     )
     correlation = correlation[np.abs(lags) <= LONGEST_LAG_S]
     lags = lags[np.abs(lags) <= LONGEST_LAG_S]
     peak = int(np.argmax(correlation))
     typical = float(np.median(np.abs(correlation)))
-    return float(lags[peak]) if correlation[peak] > LAG_EDGE * typical else 0.0
+    return float(lags[peak]) if correlation[peak] > LEAST_PEAK_RATIO * typical else 0.0
 
 
 def _slope_change(values: Array, span: int) -> Array:

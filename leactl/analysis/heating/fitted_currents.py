@@ -6,7 +6,7 @@ they are those of the actuator that was heated.
 
 from leactl.analysis.estimate import Estimate
 from leactl.analysis.heating.parameters import FittedParameters
-from leactl.analysis.heating.resistance import REFERENCE
+from leactl.analysis.heating.resistance import REFERENCE_TEMPERATURE
 from leactl.model.continuous_current import STANDING, STEADY_STATE, TURNING, ThermalActuator, current_for_rise
 
 PAPER_WINDING_LIMIT = 130.0  # degC, for a model that states none
@@ -28,7 +28,7 @@ def current_capability(
 
             def current(moved: FittedParameters, duration: float = duration, share: float = share) -> float:
                 cold = phase_of_line * float(moved.point[5])
-                actuator = ThermalActuator(moved.network, cold, float(moved.point[6]), REFERENCE)
+                actuator = ThermalActuator(moved.network, cold, float(moved.point[6]), REFERENCE_TEMPERATURE)
                 return current_for_rise(actuator, limit - ambient, ambient, duration, share)
 
             estimates.append(parameters.estimate(kind + motion, "A", current))

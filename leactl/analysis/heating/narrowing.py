@@ -14,17 +14,17 @@ import numpy as np
 
 from leactl.analysis.estimate import Result
 from leactl.analysis.experiments.thermal import analyze
-from leactl.analysis.heating.resistance import REFERENCE
+from leactl.analysis.heating.resistance import REFERENCE_TEMPERATURE
 from leactl.errors import AcceptanceFailed, InputError, NotIdentifiable
 from leactl.model.motor import Motor
 from leactl.model.motor_schema import Thermal, Tolerances
 from leactl.runfile.read.reader import Run
 
-DEVIATIONS = 3.0  # standard errors of a fit in a tolerance
-FINEST = 0.001  # smallest tolerance; tolerances are rounded up to multiples of it
-FIGURES = 6  # significant digits of a value in the motor file
-NETWORK = tuple(Thermal.model_fields)
-WINDING = ("phase_resistance", "resistance_coefficient")
+TOLERANCE_STDS = 3.0  # of a fit, in a tolerance
+FINEST_TOLERANCE = 0.001  # tolerances are rounded up to multiples of it
+SIGNIFICANT_DIGITS = 6  # of a value in the motor file
+NETWORK_PARAMETERS = tuple(Thermal.model_fields)
+WINDING_PARAMETERS = ("phase_resistance", "resistance_coefficient")
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Accuracy:
     current_repeats: float = 0.005  # of the supply's reading, its change from one run to the next
 
 
-def narrowed(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
+def narrow_tolerances(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
     """Return the motor file with the fitted parameters of the heated actuator and the tolerances of the fit.
 
     Parameters
@@ -64,9 +64,9 @@ def narrowed(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
         current_gain_std=0.0,
     )
     values = {estimate.name: estimate.value for estimate in result.results}
-    if missing := [name for name in (*NETWORK, *WINDING) if not math.isfinite(values[name])]:
+    if missing := [name for name in (*NETWORK_PARAMETERS, *WINDING_PARAMETERS) if not math.isfinite(values[name])]:
         raise NotIdentifiable(
-            f"{result.runs[-1]}: tells no {', '.join(missing)}; heat and cool for longer: {'; '.join(result.notes)}"
+            f"{result.runs[-1]}: shows no {', '.join(missing)}; heat and cool for longer: {'; '.join(result.notes)}"
         )
     _refuse_outside(motor, motor.tolerances, values, accuracy)
     supply = motor.tolerances.current if motor.tolerances.line_current is None else motor.tolerances.line_current
@@ -75,15 +75,15 @@ def narrowed(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
         | {
             "line_current": accuracy.current_repeats,
             # worst case: the other meter reads low and the supply of the runs read high
-            "current": _rounded((1.0 + motor.tolerances.current) / (1.0 - supply) - 1.0),
-            "temperature_rise": _rounded(_camera_error(accuracy, runs) + _misfit(values, runs)),
+            "current": _rounded_up((1.0 + motor.tolerances.current) / (1.0 - supply) - 1.0),
+            "temperature_rise": _rounded_up(_camera_error(accuracy, runs) + _misfit(values, runs)),
         }
     )
     return motor.model_copy(
-        update={name: _short(values[name]) for name in WINDING}
+        update={name: _to_significant_digits(values[name]) for name in WINDING_PARAMETERS}
         | {
-            "reference_temperature": REFERENCE,
-            "thermal": Thermal(**{name: _short(values[name]) for name in NETWORK}),
+            "reference_temperature": REFERENCE_TEMPERATURE,
+            "thermal": Thermal(**{name: _to_significant_digits(values[name]) for name in NETWORK_PARAMETERS}),
             "tolerances": tolerances,
         }
     )
@@ -102,12 +102,12 @@ def _tolerances(result: Result, values: dict[str, float], accuracy: Accuracy) ->
     offset_std = 0.5 * offset
 
     def without_offset(name: str) -> float:
-        return DEVIATIONS * math.sqrt(max(relative_std[name] ** 2 - offset_std**2, 0.0))
+        return TOLERANCE_STDS * math.sqrt(max(relative_std[name] ** 2 - offset_std**2, 0.0))
 
-    return {name: _rounded(DEVIATIONS * relative_std[name]) for name in NETWORK} | {
+    return {name: _rounded_up(TOLERANCE_STDS * relative_std[name]) for name in NETWORK_PARAMETERS} | {
         # the relative tolerance of two phases in series is that of one phase
-        "phase_resistance": _rounded(without_offset("line_resistance") + offset),
-        "resistance_coefficient": _rounded(without_offset("resistance_coefficient")),
+        "phase_resistance": _rounded_up(without_offset("line_resistance") + offset),
+        "resistance_coefficient": _rounded_up(without_offset("resistance_coefficient")),
     }
 
 
@@ -117,13 +117,13 @@ def _camera_error(accuracy: Accuracy, runs: Sequence[Run]) -> float:
 
 
 def _misfit(values: dict[str, float], runs: Sequence[Run]) -> float:
-    """Return the misfit of the network beyond noise, times `DEVIATIONS`, as a share of the largest rise.
+    """Return the misfit of the network beyond noise, times `TOLERANCE_STDS`, as a share of the largest rise.
 
     Where the noise is not known, all residuals count as misfit.
     """
     over_noise = values["rmse_over_noise"]
     misfit = 1.0 if not math.isfinite(over_noise) else math.sqrt(max(1.0 - 1.0 / over_noise**2, 0.0))
-    return DEVIATIONS * misfit * values["rmse"] / _rise(runs)
+    return TOLERANCE_STDS * misfit * values["rmse"] / _rise(runs)
 
 
 def _rise(runs: Sequence[Run]) -> float:
@@ -135,12 +135,14 @@ def _rise(runs: Sequence[Run]) -> float:
 def _refuse_outside(motor: Motor, tolerances: Tolerances, values: dict[str, float], accuracy: Accuracy) -> None:
     """Raise AcceptanceFailed if a value is outside of the file's tolerances, widened by the instruments' errors."""
     nominal = motor.thermal.model_dump() | {
-        "phase_resistance": motor.resistance(REFERENCE),
-        "resistance_coefficient": motor.resistance_coefficient * motor.phase_resistance / motor.resistance(REFERENCE),
+        "phase_resistance": motor.resistance(REFERENCE_TEMPERATURE),
+        "resistance_coefficient": motor.resistance_coefficient
+        * motor.phase_resistance
+        / motor.resistance(REFERENCE_TEMPERATURE),
     }
     current = max(tolerances.current, tolerances.line_current or 0.0)
     faults = []
-    for name in (*NETWORK, *WINDING):
+    for name in (*NETWORK_PARAMETERS, *WINDING_PARAMETERS):
         # the heat is current times voltage, and the voltage may have as large an error as the current
         within = getattr(tolerances, name) + accuracy.camera_gain + 2.0 * current
         low, high = (nominal[name] * (1.0 + sign * within) for sign in (-1.0, 1.0))
@@ -148,14 +150,14 @@ def _refuse_outside(motor: Motor, tolerances: Tolerances, values: dict[str, floa
             faults.append(f"{name} {values[name]:.4g}, {low:.4g} to {high:.4g} was expected")
     if faults:
         raise AcceptanceFailed(
-            f"motor '{motor.name}': what was fitted lies outside of its tolerances: another actuator or mounting was"
+            f"motor '{motor.name}': the fitted values are outside of its tolerances: another actuator or mounting was"
             f" heated, or a reading is wrong: {'; '.join(faults)}"
         )
 
 
-def _short(value: float) -> float:
-    return float(f"{value:.{FIGURES}g}")
+def _to_significant_digits(value: float) -> float:
+    return float(f"{value:.{SIGNIFICANT_DIGITS}g}")
 
 
-def _rounded(tolerance: float) -> float:
-    return max(FINEST, round(math.ceil(tolerance / FINEST) * FINEST, 6))
+def _rounded_up(tolerance: float) -> float:
+    return max(FINEST_TOLERANCE, round(math.ceil(tolerance / FINEST_TOLERANCE) * FINEST_TOLERANCE, 6))

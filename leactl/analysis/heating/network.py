@@ -12,15 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leactl.analysis.heating.first_guess import covered, guesses, starting_lag, thinned
+from leactl.analysis.heating.first_guess import frames_with_known_heat, starting_lag, starting_points, thin_record
 from leactl.analysis.heating.record import Array, HeatingRecord
 from leactl.errors import NotIdentifiable
 from leactl.model.thermal_network import Conductances, Drive, remaining_rise, temperatures_and_rates_at
 
-NETWORK = 5  # unknowns that all records share
-STEP = 1e-4  # of central differences: their error is its square
-EXACT = 1e-12
-FARTHEST = 12.0  # e-folds that a logarithm may move from its starting value
+NETWORK_UNKNOWNS = 5  # unknowns that all records share
+DIFFERENCE_STEP = 1e-4  # of central differences, whose relative error is its square
+FIT_TOLERANCE = 1e-12  # relative, of the least-squares solver
+MOST_LOG_SHIFT = 12.0  # of a logarithm from its starting value
 
 
 @dataclass(frozen=True)
@@ -58,22 +58,22 @@ class NetworkFit:
     @property
     def residuals(self) -> list[Array]:
         """Return measured less fitted temperatures [K] of each record, shape (2, frames), NaN for missing frames."""
-        return [measured(record) - fit for record, fit in zip(self.records, self.fitted, strict=True)]
+        return [camera_temperatures(record) - fit for record, fit in zip(self.records, self.fitted, strict=True)]
 
     def index_of(self, record_number: int, name: str) -> int | None:
         """Return the index in `point` of an unknown of a record; None where the record has no unknown of this name."""
-        first_index = NETWORK + sum(len(names) for names in self.names[:record_number])
+        first_index = NETWORK_UNKNOWNS + sum(len(names) for names in self.names[:record_number])
         names = self.names[record_number]
         return first_index + names.index(name) if name in names else None
 
 
 def network_of(point: Array) -> Conductances:
     """Return the network that the first five unknowns describe."""
-    wh, ha, cw, ch = np.exp(point[1:NETWORK])
+    wh, ha, cw, ch = np.exp(point[1:NETWORK_UNKNOWNS])
     return Conductances(float(point[0]), 1.0 / float(wh), 1.0 / float(ha), float(cw), float(ch))
 
 
-def measured(record: HeatingRecord) -> Array:
+def camera_temperatures(record: HeatingRecord) -> Array:
     """Return the camera's temperatures of winding and housing [degC], shape (2, frames)."""
     return np.stack([record.winding, record.housing])
 
@@ -87,12 +87,14 @@ def fit_network(records: Sequence[HeatingRecord], unknowns: Unknowns, error_pref
         the latter.
     """
     lags = [starting_lag(record) if "lag" in unknowns.names_of(record) else unknowns.lag or 0.0 for record in records]
-    covered_records = [covered(record, lag) for record, lag in zip(records, lags, strict=True)]
-    thin_records = [thinned(record) for record in covered_records]
+    covered_records = [frames_with_known_heat(record, lag) for record, lag in zip(records, lags, strict=True)]
+    thin_records = [thin_record(record) for record in covered_records]
     starts = [
         value for record, lag in zip(thin_records, lags, strict=True) for value in _start_values(record, unknowns, lag)
     ]
-    solutions = [_optimum(thin_records, unknowns, np.array([*guess, *starts]), 1.0) for guess in guesses(thin_records)]
+    solutions = [
+        _optimum(thin_records, unknowns, np.array([*guess, *starts]), 1.0) for guess in starting_points(thin_records)
+    ]
     best = min((solution for solution in solutions if solution is not None), key=lambda item: item[1], default=None)
     noise = _noise_of(covered_records, unknowns, best[0]) if best is not None else math.nan
     solution = _optimum(covered_records, unknowns, best[0], noise) if best is not None else None
@@ -100,32 +102,33 @@ def fit_network(records: Sequence[HeatingRecord], unknowns: Unknowns, error_pref
         raise NotIdentifiable(f"{error_prefix}: no network of winding and housing follows these temperatures")
     point = solution[0]
     fitted = tuple(
-        _fitted(record, unknowns, *values) for record, values in _values_by_record(covered_records, unknowns, point)
+        _fitted_temperatures(record, unknowns, *values)
+        for record, values in _values_by_record(covered_records, unknowns, point)
     )
     columns = tuple(_columns(covered_records, unknowns, point))
     names = tuple(unknowns.names_of(record) for record in covered_records)
     by_record = _values_by_record(covered_records, unknowns, point)
     fitted_lags = tuple(record_unknowns.get("lag", unknowns.lag or 0.0) for _, (_, record_unknowns) in by_record)
     rates = tuple(_rate(record, unknowns, *values) for record, values in by_record)
-    weight = priors(covered_records, unknowns, noise)
+    weight = prior_weights(covered_records, unknowns, noise)
     return NetworkFit(point, names, tuple(covered_records), fitted, columns, weight, fitted_lags, rates)
 
 
-def residual(records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array, noise: float) -> Array:
+def residual_vector(records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array, noise: float) -> Array:
     """Return the residuals that least squares minimises [K]: those of all valid frames, then the offsets' priors."""
     by_record = [
-        _of_valid_frames(measured(record) - _fitted(record, unknowns, *values), record)
+        _of_valid_frames(camera_temperatures(record) - _fitted_temperatures(record, unknowns, *values), record)
         for record, values in _values_by_record(records, unknowns, point)
     ]
-    weight = priors(records, unknowns, noise)
+    weight = prior_weights(records, unknowns, noise)
     return np.concatenate([*by_record, -(np.sqrt(weight) * point)[weight > 0.0]])
 
 
-def priors(records: Sequence[HeatingRecord], unknowns: Unknowns, noise: float) -> Array:
+def prior_weights(records: Sequence[HeatingRecord], unknowns: Unknowns, noise: float) -> Array:
     """Return the weight of each unknown's prior, shape (unknowns,): only offsets have a prior, with mean zero."""
     names = [name for record in records for name in unknowns.names_of(record)]
     weight = (noise / unknowns.offset_std) ** 2 if unknowns.offset_std else 0.0
-    return np.array([0.0] * NETWORK + [weight if name.startswith("offset") else 0.0 for name in names])
+    return np.array([0.0] * NETWORK_UNKNOWNS + [weight if name.startswith("offset") else 0.0 for name in names])
 
 
 def _optimum(
@@ -137,7 +140,7 @@ def _optimum(
     """
     from scipy.optimize import least_squares
 
-    weight = priors(records, unknowns, noise)
+    weight = prior_weights(records, unknowns, noise)
     prior_rows = np.diag(np.sqrt(weight))[weight > 0.0]
 
     def jacobian_at(point: Array) -> Array:
@@ -148,22 +151,32 @@ def _optimum(
         return -np.concatenate([*by_record, prior_rows])
 
     def residuals_at(point: Array) -> Array:
-        if np.max(np.abs(point[1:NETWORK] - start[1:NETWORK])) > FARTHEST or point[0] < -start[0]:
+        if (
+            np.max(np.abs(point[1:NETWORK_UNKNOWNS] - start[1:NETWORK_UNKNOWNS])) > MOST_LOG_SHIFT
+            or point[0] < -start[0]
+        ):
             return np.full(size, 1e3)
-        return residual(records, unknowns, point, noise)
+        return residual_vector(records, unknowns, point, noise)
 
-    size = len(residual(records, unknowns, start, noise))
+    size = len(residual_vector(records, unknowns, start, noise))
     if size <= len(start):
         return None
     solution = least_squares(
-        residuals_at, start, jacobian_at, method="lm", x_scale="jac", xtol=EXACT, ftol=EXACT, gtol=EXACT
+        residuals_at,
+        start,
+        jacobian_at,
+        method="lm",
+        x_scale="jac",
+        xtol=FIT_TOLERANCE,
+        ftol=FIT_TOLERANCE,
+        gtol=FIT_TOLERANCE,
     )
     return (solution.x, float(2.0 * solution.cost)) if np.isfinite(solution.x).all() else None
 
 
 def _start_values(record: HeatingRecord, unknowns: Unknowns, lag: float) -> list[float]:
     """Return starting values of the unknowns that a record adds."""
-    temperatures = measured(record)
+    temperatures = camera_temperatures(record)
     winding, housing = (float(row[np.isfinite(row)][0]) for row in temperatures)
     air = min(winding, housing) if record.ambient is None else 0.0
     starts = {"winding_start": winding - air, "housing_start": housing - air, "air": air, "lag": lag}
@@ -174,7 +187,7 @@ def _values_by_record(
     records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array
 ) -> list[tuple[HeatingRecord, tuple[Conductances, dict[str, float]]]]:
     """Return each record with the network and with the values of the unknowns that the record adds, by name."""
-    network, by_record, start = network_of(point), [], NETWORK
+    network, by_record, start = network_of(point), [], NETWORK_UNKNOWNS
     for record in records:
         names = unknowns.names_of(record)
         values = dict(zip(names, point[start : start + len(names)].tolist(), strict=True))
@@ -183,7 +196,7 @@ def _values_by_record(
     return by_record
 
 
-def _fitted(
+def _fitted_temperatures(
     record: HeatingRecord, unknowns: Unknowns, network: Conductances, record_unknowns: dict[str, float]
 ) -> Array:
     """Return the temperatures [degC] that the camera would show, shape (2, frames)."""
@@ -241,14 +254,17 @@ def drive_of(record: HeatingRecord) -> Drive:
 
 def _columns(records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array) -> list[Array]:
     """Return the derivatives of each record's fitted temperatures, shape (2, frames, unknowns)."""
-    columns, first, by_record = [], NETWORK, _values_by_record(records, unknowns, point)
-    steps = np.full(NETWORK, STEP)
+    columns, first, by_record = [], NETWORK_UNKNOWNS, _values_by_record(records, unknowns, point)
+    steps = np.full(NETWORK_UNKNOWNS, DIFFERENCE_STEP)
     steps[0] *= 1.0 / math.exp(point[2])  # the step of a conductance is relative to that from housing to air
     for record, (network, record_unknowns) in by_record:
         derivatives = np.zeros((2, len(record.time), len(point)))
         for index, step in enumerate(steps):
             shifted_points = [point + sign * step * np.eye(len(point))[index] for sign in (1.0, -1.0)]
-            high, low = (_fitted(record, unknowns, network_of(shifted), record_unknowns) for shifted in shifted_points)
+            high, low = (
+                _fitted_temperatures(record, unknowns, network_of(shifted), record_unknowns)
+                for shifted in shifted_points
+            )
             derivatives[:, :, index] = (high - low) / (2.0 * step)
         elapsed = _stamps(record, unknowns, record_unknowns) - record.supply.time[0]
         start, names = remaining_rise(network, elapsed), unknowns.names_of(record)
@@ -277,11 +293,11 @@ def _rate(record: HeatingRecord, unknowns: Unknowns, network: Conductances, reco
 
 def _of_valid_frames(values: Array, record: HeatingRecord) -> Array:
     """Return the values of the frames that have a temperature, those of the winding first."""
-    valid = np.isfinite(measured(record))
+    valid = np.isfinite(camera_temperatures(record))
     return np.concatenate([values[node][valid[node]] for node in (0, 1)])
 
 
 def _noise_of(records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array) -> float:
     """Return the root mean square of the residuals [K], without priors."""
-    residuals = residual(records, unknowns, point, 0.0)
+    residuals = residual_vector(records, unknowns, point, 0.0)
     return math.sqrt(max(float(np.mean(residuals**2)), 1e-18))

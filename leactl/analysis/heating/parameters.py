@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate
-from leactl.analysis.heating.network import NETWORK, NetworkFit
-from leactl.analysis.heating.record import Array, HeatingRecord, switched_on
-from leactl.analysis.heating.resistance import REFERENCE, ResistanceLine
+from leactl.analysis.heating.network import NETWORK_UNKNOWNS, NetworkFit
+from leactl.analysis.heating.record import Array, HeatingRecord, switched_on_masks
+from leactl.analysis.heating.resistance import REFERENCE_TEMPERATURE, ResistanceLine
 from leactl.analysis.heating.scatter import Scatter, binned_residuals, covariance_of_sums, scatter_of
 from leactl.analysis.statistics.regression import t_quantile
 from leactl.model.thermal_network import Conductances
@@ -29,9 +29,9 @@ NAMES = (
     "resistance_coefficient",
 )
 UNITS = ("K/W", "K/W", "K/W", "J/K", "J/K", "ohm", "1/K")
-UNKNOWN = 0.5  # relative standard uncertainty from which a result counts as not identifiable
-STEP = 1e-4  # of central differences, relative
-FLOOR = 1e-15  # added to the scaled information matrix, so that it can be inverted
+NOT_IDENTIFIABLE_STD = 0.5  # relative standard uncertainty, from which a result counts as not identifiable
+RELATIVE_STEP = 1e-4  # of central differences
+INFORMATION_FLOOR = 1e-15  # added to the scaled information matrix, so that it can be inverted
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class FittedParameters:
     @property
     def network(self) -> Conductances:
         """Return the thermal network; a negative conductance counts as zero."""
-        wa, wh, ha, cw, ch = self.point[:NETWORK].tolist()
+        wa, wh, ha, cw, ch = self.point[:NETWORK_UNKNOWNS].tolist()
         return Conductances(max(wa, 0.0), 1.0 / wh, 1.0 / ha, cw, ch)
 
     def moved(self, step: Array) -> "FittedParameters":
@@ -83,28 +83,28 @@ class FittedParameters:
         The interval is symmetric in the figure's logarithm.
         """
         value, slopes = figure(self), np.zeros(len(self.point))
-        steps = STEP * self.point
-        steps[0] = STEP / self.point[2]
+        steps = RELATIVE_STEP * self.point
+        steps[0] = RELATIVE_STEP / self.point[2]
         for index, step in enumerate(steps):
             shift = np.zeros(len(self.point))
             shift[index] = step
             slopes[index] = (figure(self.moved(shift)) - figure(self.moved(-shift))) / (2.0 * step)
         variances = [float(slopes @ source.covariance @ slopes) for source in self.sources]
         std = math.sqrt(max(sum(variances), 0.0))
-        if not (value > 0.0 and std < UNKNOWN * value):
+        if not (value > 0.0 and std < NOT_IDENTIFIABLE_STD * value):
             return Estimate(name, NAN, NAN, NAN, NAN, units)
         dof_sum = sum(variance**2 / source.dof for variance, source in zip(variances, self.sources, strict=True))
         log_half_width = t_quantile(sum(variances) ** 2 / dof_sum if dof_sum > 0.0 else math.inf) * std / value
         return Estimate(name, value, std, value * math.exp(-log_half_width), value * math.exp(log_half_width), units)
 
 
-def parallel(parameters: FittedParameters) -> float:
+def parallel_resistance(parameters: FittedParameters) -> float:
     """Return Rwa in parallel with Rwh and Rha in series [K/W]: the steady rise of the winding for each watt."""
     network = parameters.network
     return 1.0 / (network.winding_ambient + 1.0 / (1.0 / network.winding_housing + 1.0 / network.housing_ambient))
 
 
-def natural(parameters: FittedParameters) -> Array:
+def natural_parameters(parameters: FittedParameters) -> Array:
     """Return the parameters in the order and units of `NAMES`: the first as a resistance, not as a conductance."""
     return np.concatenate([[1.0 / parameters.point[0]], parameters.point[1:]])
 
@@ -116,7 +116,7 @@ def natural_covariance(parameters: FittedParameters) -> Array:
     return np.asarray(parameters.covariance * np.outer(factors, factors))
 
 
-def correlation(covariance: Array) -> Array:
+def correlation_matrix(covariance: Array) -> Array:
     """Return the correlation matrix of a covariance."""
     spread = np.sqrt(np.diag(covariance))
     return np.asarray(covariance / np.outer(spread, spread))
@@ -141,7 +141,7 @@ def uncertainty(fit: NetworkFit, offset_std: float) -> Uncertainty:
             information = information + valid_rows.T @ valid_rows
     scale = 1.0 / np.sqrt(np.diag(information))
     scaled = information * np.outer(scale, scale)
-    inverse = np.linalg.inv(scaled + FLOOR * np.eye(len(scaled))) * np.outer(scale, scale)
+    inverse = np.linalg.inv(scaled + INFORMATION_FLOOR * np.eye(len(scaled))) * np.outer(scale, scale)
     times = [record.time for record in fit.records]
     bins = binned_residuals(times, fit.residuals, fit.columns)
     scatter = scatter_of(bins)
@@ -156,7 +156,7 @@ def thermal_parameters(
     fit: NetworkFit, uncertainty: Uncertainty, line: ResistanceLine, instruments: Instruments, air: float
 ) -> FittedParameters:
     """Combine network and resistance with their sources of uncertainty; `air` is the ambient temperature [degC]."""
-    network = np.concatenate([fit.point[:1], np.exp(fit.point[1:NETWORK])])
+    network = np.concatenate([fit.point[:1], np.exp(fit.point[1:NETWORK_UNKNOWNS])])
     jacobian = np.diag([1.0, *network[1:]])
     point = np.concatenate([network, [line.level, line.coefficient]])
 
@@ -166,16 +166,19 @@ def thermal_parameters(
         return full
 
     sources = [
-        UncertaintySource(embedded(jacobian @ uncertainty.noise[:NETWORK, :NETWORK] @ jacobian, 0), math.inf),
         UncertaintySource(
-            embedded(jacobian @ uncertainty.drift[:NETWORK, :NETWORK] @ jacobian, 0), uncertainty.scatter.dof
+            embedded(jacobian @ uncertainty.noise[:NETWORK_UNKNOWNS, :NETWORK_UNKNOWNS] @ jacobian, 0), math.inf
         ),
-        UncertaintySource(embedded(line.noise, NETWORK), math.inf),
-        UncertaintySource(embedded(line.drift, NETWORK), line.dof),
-        UncertaintySource(embedded(line.timing, NETWORK), math.inf),
+        UncertaintySource(
+            embedded(jacobian @ uncertainty.drift[:NETWORK_UNKNOWNS, :NETWORK_UNKNOWNS] @ jacobian, 0),
+            uncertainty.scatter.dof,
+        ),
+        UncertaintySource(embedded(line.noise, NETWORK_UNKNOWNS), math.inf),
+        UncertaintySource(embedded(line.drift, NETWORK_UNKNOWNS), line.dof),
+        UncertaintySource(embedded(line.timing, NETWORK_UNKNOWNS), math.inf),
     ]
     wa, wh, ha, cw, ch, level, coefficient = point
-    coefficient_times_distance = coefficient * (REFERENCE - air)
+    coefficient_times_distance = coefficient * (REFERENCE_TEMPERATURE - air)
     scaled = np.array([-wa, wh, ha, -cw, -ch, 0.0, 0.0])
     camera_slopes = scaled + np.array(
         [0.0] * 5 + [-level * coefficient_times_distance, coefficient * (coefficient_times_distance - 1.0)]
@@ -193,7 +196,7 @@ def thermal_parameters(
 
 def noise_of_heat(records: Sequence[HeatingRecord]) -> float:
     """Return the relative standard uncertainty of the mean heat by the noise of the supply's readings."""
-    heats = [record.supply.heat[is_on] for record, is_on in zip(records, switched_on(records), strict=True)]
+    heats = [record.supply.heat[is_on] for record, is_on in zip(records, switched_on_masks(records), strict=True)]
     # within each record, since the heat jumps from one record to the next
     second_differences = np.concatenate([np.diff(heat, 2) for heat in heats])
     heat = np.concatenate(heats)
@@ -218,5 +221,5 @@ def resolution_of(records: Sequence[HeatingRecord], name: str) -> float:
 
 def readings_on(records: Sequence[HeatingRecord], name: str) -> list[Array]:
     """Return the magnitudes of `current` or `voltage` with the current switched on, for each record that has any."""
-    masks = zip(records, switched_on(records), strict=True)
+    masks = zip(records, switched_on_masks(records), strict=True)
     return [np.abs(getattr(record.supply, name)[is_on]) for record, is_on in masks if is_on.any()]

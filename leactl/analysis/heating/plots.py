@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from leactl.analysis.estimate import Estimate, Plot, Series
-from leactl.analysis.heating.network import NetworkFit, measured
+from leactl.analysis.heating.network import NetworkFit, camera_temperatures
 from leactl.analysis.heating.record import Array
-from leactl.analysis.heating.resistance import REFERENCE, ResistanceLine
+from leactl.analysis.heating.resistance import REFERENCE_TEMPERATURE, ResistanceLine
 
 MOST_POINTS = 120  # of a curve
 NODES = ("winding", "housing")
@@ -18,16 +18,16 @@ def plots_of(fit: NetworkFit, line: ResistanceLine, currents: Sequence[Estimate]
     measured_points, lines, residual_points = [], [], []
     for record, fitted, residual in zip(fit.records, fit.fitted, fit.residuals, strict=True):
         for node, name in enumerate(NODES):
-            measured_points.append(drawn(name, record.time, measured(record)[node]))
-            lines.append(drawn(f"{name}, fitted", record.time, fitted[node]))
-            residual_points.append(drawn(name, record.time, residual[node]))
+            measured_points.append(thinned_curve(name, record.time, camera_temperatures(record)[node]))
+            lines.append(thinned_curve(f"{name}, fitted", record.time, fitted[node]))
+            residual_points.append(thinned_curve(name, record.time, residual[node]))
     temperatures = np.array([line.temperature.min(), line.temperature.max()])
-    resistances = line.level * (1.0 + line.coefficient * (temperatures - REFERENCE))
+    resistances = line.level * (1.0 + line.coefficient * (temperatures - REFERENCE_TEMPERATURE))
     order = np.argsort(line.temperature)
-    measurements = drawn("voltage over current", line.temperature[order], line.resistance[order])
+    measurements = thinned_curve("voltage over current", line.temperature[order], line.resistance[order])
     return (
-        Plot("time [s]", "temperature [degC]", merged(measured_points), tuple(lines)),
-        Plot("time [s]", "measured less fitted [K]", merged(residual_points), ()),
+        Plot("time [s]", "temperature [degC]", merged_by_label(measured_points), tuple(lines)),
+        Plot("time [s]", "measured less fitted [K]", merged_by_label(residual_points), ()),
         Plot(
             "active windings [degC]",
             "resistance of two leads [ohm]",
@@ -38,7 +38,7 @@ def plots_of(fit: NetworkFit, line: ResistanceLine, currents: Sequence[Estimate]
     )
 
 
-def drawn(label: str, x: Array, y: Array) -> Series:
+def thinned_curve(label: str, x: Array, y: Array) -> Series:
     """Return a curve of at most `MOST_POINTS` points, each the mean over an even part of the finite values, if any."""
     finite = np.isfinite(y)
     x, y = x[finite], y[finite]
@@ -52,7 +52,7 @@ def drawn(label: str, x: Array, y: Array) -> Series:
     )
 
 
-def merged(series: Sequence[Series]) -> tuple[Series, ...]:
+def merged_by_label(series: Sequence[Series]) -> tuple[Series, ...]:
     """Join the points of each label over all records."""
     labels = dict.fromkeys(curve.label for curve in series)
     return tuple(

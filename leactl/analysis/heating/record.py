@@ -25,14 +25,14 @@ Mask = npt.NDArray[np.bool_]
 
 WINDING, HOUSING, AMBIENT = "winding_temperature", "housing_temperature", "ambient_temperature"
 CURRENT, VOLTAGE = "line_current", "line_voltage"
-NOT_CELSIUS = 200.0  # degC: no winding stays above it throughout, and a room in kelvin is at 290 to 300
-FLOWS = 0.2  # of the largest current, above which it counts as switched on
-LEAKS = 0.02  # of the largest current of all records: a record without a larger one only cools, at 4e-4 of the heat
-LEAST_A = 0.1  # smallest largest current of a run: less heats too little for a fit
-SEEN = 0.5  # of the best location's valid frames: a location with fewer does not count
+HOTTEST_CELSIUS = 200.0  # degC; no winding stays above it throughout, and a room in kelvin is at 290 to 300
+SWITCHED_ON_SHARE = 0.2  # of the largest current, above which it counts as switched on
+LEAST_HEATING_SHARE = 0.02  # of the largest current of all records; with less, 4e-4 of the heat, a record only cools
+LEAST_CURRENT_A = 0.1  # largest current of a run; less heats too little for a fit
+LEAST_VALID_SHARE = 0.5  # of the best location's valid frames; a location with fewer does not count
 LONGEST_LAG_S = 900.0  # of the camera's clock behind the supply's
-BRIDGED_S = 2.0  # without readings of the supply: longer gaps are not interpolated
-SHORTEST_S, FEWEST = 60.0, 100  # duration and frames of the shortest record
+LONGEST_GAP_S = 2.0  # without readings of the supply; longer gaps are not interpolated
+SHORTEST_RECORD_S, FEWEST_FRAMES = 60.0, 100  # of a record
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class SupplyRecord:
     @property
     def on(self) -> Mask:
         """Return which readings have the current switched on, shape (readings,)."""
-        return np.asarray(np.abs(self.current) > FLOWS * np.max(np.abs(self.current)))
+        return np.asarray(np.abs(self.current) > SWITCHED_ON_SHARE * np.max(np.abs(self.current)))
 
     def within(self, part: slice) -> "SupplyRecord":
         """Return a part of the readings."""
@@ -72,10 +72,10 @@ class HeatingRecord:
     ambient: Array | None  # degC, at the stamps of the supply
 
 
-def switched_on(records: Sequence[HeatingRecord]) -> list[Mask]:
+def switched_on_masks(records: Sequence[HeatingRecord]) -> list[Mask]:
     """Return which readings of each record have the current switched on; none in a record that only cools."""
     largest = [float(np.max(np.abs(record.supply.current))) for record in records]
-    heated = [current > LEAKS * max(largest) for current in largest]
+    heated = [current > LEAST_HEATING_SHARE * max(largest) for current in largest]
     return [record.supply.on & is_heated for record, is_heated in zip(records, heated, strict=True)]
 
 
@@ -85,7 +85,7 @@ def heating_records(run: Run) -> Noted[list[HeatingRecord]]:
     Raises
     ------
     MissingChannel : no temperatures of winding or housing, no line current or no line voltage.
-    NotIdentifiable : no current flows, or heat and frames are never recorded together for `SHORTEST_S`.
+    NotIdentifiable : no current flows, or heat and frames are never recorded together for `SHORTEST_RECORD_S`.
     InputError : temperatures that are not in degC, or a resistance below zero.
     """
     supply = supply_of(run)
@@ -98,14 +98,14 @@ def heating_records(run: Run) -> Noted[list[HeatingRecord]]:
     air = ambient_of(run)
     notes = [*supply.notes, *winding_means.notes, *housing_mean.notes, *air.notes]
     records = []
-    for part in unbroken(supply.value.time):
+    for part in gapless_parts(supply.value.time):
         heat = supply.value.within(part)
         if not len(heat.time):
             continue
         start_and_stop = heat.time[[0, -1]] + np.array([-LONGEST_LAG_S, LONGEST_LAG_S])
         frames = slice(*np.searchsorted(camera.time, start_and_stop).tolist())
         valid = int(np.sum(np.isfinite(winding[frames]) & np.isfinite(housing[frames])))
-        if valid < FEWEST or heat.time[-1] - heat.time[0] < SHORTEST_S:
+        if valid < FEWEST_FRAMES or heat.time[-1] - heat.time[0] < SHORTEST_RECORD_S:
             if valid:
                 notes.append(f"{run.path}: left out {heat.time[0]:.0f} to {heat.time[-1]:.0f} s: {valid} frames of use")
             continue
@@ -114,12 +114,12 @@ def heating_records(run: Run) -> Noted[list[HeatingRecord]]:
         records.append(HeatingRecord(str(run.path), *temperatures, heat, ambient))
     if not records:
         raise NotIdentifiable(
-            f"{run.path}: camera and supply never record together for {SHORTEST_S:g} s; both are needed"
+            f"{run.path}: camera and supply never record together for {SHORTEST_RECORD_S:g} s; both are needed"
         )
     return Noted(records, tuple(notes))
 
 
-def frames_of(run: Run) -> int:
+def frame_count(run: Run) -> int:
     """Return the number of frames of the winding in a run, missing ones included."""
     return len(run.channels(WINDING)[0].time)
 
@@ -129,7 +129,7 @@ def supply_of(run: Run) -> Noted[SupplyRecord]:
 
     Raises
     ------
-    NotIdentifiable : too few readings, a clipped reading, or no current above `LEAST_A`.
+    NotIdentifiable : too few readings, a clipped reading, or no current above `LEAST_CURRENT_A`.
     InputError : a resistance below zero.
     """
     current, voltage = run.channel(CURRENT), run.channel(VOLTAGE)
@@ -150,7 +150,7 @@ def supply_of(run: Run) -> Noted[SupplyRecord]:
         voltage.sampling == current.sampling == "mean",
     )
     largest = float(np.max(np.abs(supply.current), initial=0.0))
-    if largest < LEAST_A:
+    if largest < LEAST_CURRENT_A:
         raise NotIdentifiable(f"{run.path}: {CURRENT} of test never exceeds {largest:.3g} A: nothing was heated")
     is_on = supply.on
     if float(np.mean(supply.voltage[is_on] * supply.current[is_on])) <= 0.0:
@@ -202,11 +202,11 @@ def mean_of(run: Run, channels: Sequence[Channel], time: Array) -> Noted[Array]:
         unclipped = without_clipped(run, channel)
         notes += unclipped.notes
         same_clock = len(channel.time) == len(time) and np.array_equal(channel.time, time)
-        columns.append(unclipped.value.values if same_clock else onto(time, unclipped.value))
+        columns.append(unclipped.value.values if same_clock else interpolated_at(time, unclipped.value))
     valid = np.array([np.isfinite(column).sum() for column in columns])
     if not valid.max(initial=0):
         raise NotIdentifiable(f"{run.path}: {channels[0].quantity} of test was never seen at {_names(channels)}")
-    counts = valid >= SEEN * valid.max()
+    counts = valid >= LEAST_VALID_SHARE * valid.max()
     if not counts.all():
         lost = [channel.location for channel, keep in zip(channels, counts, strict=True) if not keep]
         notes.append(f"{run.path}: left out {listed(lost)}: not seen in most frames")
@@ -300,7 +300,7 @@ def without_clipped(run: Run, channel: Channel) -> Noted[Channel]:
 def refuse_not_celsius(run: Run, channel: Channel) -> None:
     """Raise if a temperature can only be in kelvin."""
     lowest = float(np.nanmin(channel.values, initial=np.inf))
-    if NOT_CELSIUS < lowest < np.inf:
+    if HOTTEST_CELSIUS < lowest < np.inf:
         location = f" at {channel.location}" if channel.location else ""
         raise InputError(
             f"{run.path}: {channel.quantity} of {channel.role}{location} is never below {lowest:.1f} {channel.units};"
@@ -308,7 +308,7 @@ def refuse_not_celsius(run: Run, channel: Channel) -> None:
         )
 
 
-def onto(time: Array, channel: Channel) -> Array:
+def interpolated_at(time: Array, channel: Channel) -> Array:
     """Interpolate values at other stamps; NaN where the neighbouring readings are over two sampling intervals apart."""
     finite = np.isfinite(channel.values)
     stamps = channel.time[finite]
@@ -320,10 +320,10 @@ def onto(time: Array, channel: Channel) -> Array:
     return values
 
 
-def unbroken(time: Array) -> list[slice]:
+def gapless_parts(time: Array) -> list[slice]:
     """Return the parts of a clock between gaps that are too long to interpolate over."""
     steps = np.diff(time)
-    longest = max(BRIDGED_S, 3.0 * float(np.median(steps)))
+    longest = max(LONGEST_GAP_S, 3.0 * float(np.median(steps)))
     cuts = [0, *(np.flatnonzero(steps > longest) + 1).tolist(), len(time)]
     return [slice(start, stop) for start, stop in itertools.pairwise(cuts)]
 

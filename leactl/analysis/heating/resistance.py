@@ -18,12 +18,12 @@ from leactl.analysis.heating.record import Array, HeatingRecord
 from leactl.analysis.heating.scatter import binned_residuals, covariance_of_sums, scatter_of
 from leactl.errors import NotIdentifiable
 
-REFERENCE = 25.0  # degC, at which the resistance is stated
+REFERENCE_TEMPERATURE = 25.0  # degC, of the resistance that is stated
 SETTLING_S = 30.0  # left out after the current is switched on: the surface that a camera sees lags the copper
 SWITCHING_S = 2.0  # left out before the current is switched off
-PACE_S, READINGS = 1.0, 3  # least width of a bin [s], and in readings and frames
-FEWEST = 30  # bins
-LEAST_ON_S = SETTLING_S + (FEWEST + 2) * PACE_S + SWITCHING_S  # each bin needs a neighbour before and after
+LEAST_BIN_S, FEWEST_READINGS_IN_BIN = 1.0, 3  # width of a bin, and readings and frames in it
+FEWEST_BINS = 30
+LEAST_ON_S = SETTLING_S + (FEWEST_BINS + 2) * LEAST_BIN_S + SWITCHING_S  # each bin needs a neighbour before and after
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,18 +49,18 @@ def resistance_line(fit: NetworkFit, error_prefix: str) -> ResistanceLine:
     NotIdentifiable : the current was on for too short a time; `error_prefix` opens the message.
     """
     means_by_record = [
-        while_on(record, lag, rates) for record, lag, rates in zip(fit.records, fit.lags, fit.rates, strict=True)
+        means_while_on(record, lag, rates) for record, lag, rates in zip(fit.records, fit.lags, fit.rates, strict=True)
     ]
     time, temperature, neighbour_temperature, rate, resistance = (
         np.concatenate(column) for column in zip(*means_by_record, strict=True)
     )
-    if len(time) < FEWEST or np.ptp(neighbour_temperature) <= 0.0:
+    if len(time) < FEWEST_BINS or np.ptp(neighbour_temperature) <= 0.0:
         raise NotIdentifiable(
             f"{error_prefix}: the current was on, and the active windings seen, for too short a time to tell their"
             f" resistance; {LEAST_ON_S:g} s are needed"
         )
-    design = np.column_stack([np.ones(len(time)), temperature - REFERENCE])
-    instruments = np.column_stack([np.ones(len(time)), neighbour_temperature - REFERENCE])
+    design = np.column_stack([np.ones(len(time)), temperature - REFERENCE_TEMPERATURE])
+    instruments = np.column_stack([np.ones(len(time)), neighbour_temperature - REFERENCE_TEMPERATURE])
     inverse = np.linalg.inv(instruments.T @ design)
     level, slope = inverse @ (instruments.T @ resistance)
     residuals = resistance - design @ np.array([level, slope])
@@ -71,7 +71,7 @@ def resistance_line(fit: NetworkFit, error_prefix: str) -> ResistanceLine:
         [residuals[None, of_record] for of_record in record_slices],
         [instruments[None, of_record] for of_record in record_slices],
     )
-    scatter = scatter_of(bins).weighed
+    scatter = scatter_of(bins).model_average
     sums = [covariance_of_sums(record_bins, scatter) for record_bins in bins]
     # from (level, slope) to (level, coefficient); the coefficient is slope over level
     jacobian = np.array([[1.0, 0.0], [-slope / level**2, 1.0 / level]]) @ inverse
@@ -92,7 +92,7 @@ def resistance_line(fit: NetworkFit, error_prefix: str) -> ResistanceLine:
     )
 
 
-def while_on(record: HeatingRecord, lag: float, rates: Array) -> tuple[Array, Array, Array, Array, Array]:
+def means_while_on(record: HeatingRecord, lag: float, rates: Array) -> tuple[Array, Array, Array, Array, Array]:
     """Return means over bins while the current is on, shape (bins,) each.
 
     They are time [s], temperature of the active windings [degC], mean of the temperatures in the bins before and after
@@ -104,7 +104,9 @@ def while_on(record: HeatingRecord, lag: float, rates: Array) -> tuple[Array, Ar
     for first, last in zip(changes[::2], changes[1::2] - 1, strict=True):
         start = supply.time[first] + (SETTLING_S if first else 0.0)
         steady |= (supply.time > start) & (supply.time < supply.time[last] - SWITCHING_S)
-    bin_width = max(PACE_S, READINGS * float(max(np.median(np.diff(clock)) for clock in (supply.time, stamps))))
+    bin_width = max(
+        LEAST_BIN_S, FEWEST_READINGS_IN_BIN * float(max(np.median(np.diff(clock)) for clock in (supply.time, stamps)))
+    )
     by_supply, by_camera = (((clock - supply.time[0]) / bin_width).astype(np.int64) for clock in (supply.time, stamps))
     bins = int(by_supply[-1]) + 1
     valid = np.isfinite(record.active) & (by_camera < bins)

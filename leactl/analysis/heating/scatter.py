@@ -16,10 +16,10 @@ import numpy as np
 
 from leactl.analysis.heating.record import Array
 
-PACE_S = 1.0  # least width of a bin
-MOST = 4000  # bins of a record
-SOONEST, LATEST = 2.0, 0.1  # bounds of a drift's decay time: bins, and share of the length of all records
-TRIES = (10.0, 200.0)  # s, starting values of a drift's decay time
+LEAST_BIN_S = 1.0  # width of a bin
+MOST_BINS = 4000  # bins of a record
+SHORTEST_DECAY_BINS, LONGEST_DECAY_SHARE = 2.0, 0.1  # of a drift: bins, and share of the length of all records
+DECAY_STARTS_S = (10.0, 200.0)  # starting values of a drift's decay time
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class BinnedResiduals:
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """Noise and drift of residuals in bins of even length, at least `PACE_S` each."""
+    """Noise and drift of residuals in bins of even length, at least `LEAST_BIN_S` each."""
 
     noise: Array  # (nodes,), variance of the noise of a bin
     drift: Array  # (nodes, nodes), covariance of the drift
@@ -46,8 +46,8 @@ class Scatter:
     drift_weight: float  # of the model with drift against that without, after Akaike (Burnham & Anderson, 2002, 2.9)
 
     @property
-    def weighed(self) -> Self:
-        """Average the models with and without drift by their weights: with little data, chance alone shows a drift."""
+    def model_average(self) -> Self:
+        """Return the average of the models with and without drift by their weights: chance alone may show a drift."""
         noise = self.drift_weight * self.noise + (1.0 - self.drift_weight) * self.noise_without_drift
         return replace(self, noise=noise, drift=self.drift_weight * self.drift)
 
@@ -70,7 +70,7 @@ def binned_residuals(
     """
     binned_records = []
     for time, residual, column in zip(times, residuals, columns, strict=True):
-        pace = max(PACE_S, float(time[-1] - time[0]) / MOST, 2.0 * float(np.median(np.diff(time))))
+        pace = max(LEAST_BIN_S, float(time[-1] - time[0]) / MOST_BINS, 2.0 * float(np.median(np.diff(time))))
         bin_of_frame = ((time - time[0]) / pace).astype(np.int64)
         bin_count = int(bin_of_frame[-1]) + 1
         products = np.zeros((len(residual), column.shape[2], column.shape[2]))
@@ -102,7 +102,10 @@ def scatter_of(bins: Sequence[BinnedResiduals]) -> Scatter:
         ]
     )
     spectra = _spectra(bins, rms)
-    low, high = math.log(SOONEST * bins[0].pace), math.log(max(LATEST * span, 4.0 * bins[0].pace))
+    low, high = (
+        math.log(SHORTEST_DECAY_BINS * bins[0].pace),
+        math.log(max(LONGEST_DECAY_SHARE * span, 4.0 * bins[0].pace)),
+    )
     lower_triangle = [(row, column) for row in range(nodes) for column in range(row + 1)]
     bounds = [(-14.0, 3.0)] * nodes + [(-3.0, 3.0)] * len(lower_triangle) + [(low, high)]
 
@@ -117,7 +120,7 @@ def scatter_of(bins: Sequence[BinnedResiduals]) -> Scatter:
         return _negative_log_likelihood(unpacked(point), spectra)
 
     solutions = []
-    for decay_time in TRIES:
+    for decay_time in DECAY_STARTS_S:
         start = [math.log(0.7)] * nodes + [0.3 if row == column else 0.0 for row, column in lower_triangle]
         starting_point = np.array([*start, min(max(math.log(decay_time), low), high)])
         solutions.append(minimize(cost, starting_point, method="L-BFGS-B", bounds=bounds))
