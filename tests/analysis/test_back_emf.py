@@ -114,7 +114,7 @@ def one_pair(name, change):
 def test_a_pair_that_cannot_be_used_is_taken_from_the_other_two(leads, change, said):
     result = found(leads, edit=one_pair("bc", change))
     assert noted(result, said)
-    assert noted(result, "pair bc is taken as what the other two leave of zero")
+    assert noted(result, "pair bc is computed from the other two")
     assert result.find("back_emf_constant").value == pytest.approx(KB, rel=1e-4)
     with pytest.raises(InputError, match="has no result"):
         result.find("line_to_line_constant_bc")
@@ -275,7 +275,7 @@ def test_what_no_constant_can_be_found_from(leads, how, said):
 
 def test_a_run_without_steps_is_used_whole_and_skew_that_is_not_told_changes_no_constant(leads):
     result = found(leads, steps=False, told_skew=False)
-    assert noted(result, "tells no steps")
+    assert noted(result, "the run has no steps")
     assert result.find("back_emf_constant").value == pytest.approx(KB, rel=1e-4)
 
 

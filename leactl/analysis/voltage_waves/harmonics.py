@@ -13,17 +13,17 @@ import numpy as np
 from leactl.analysis.estimate import NAN, Estimate
 from leactl.analysis.voltage_waves.turning_holds import TurningHold
 
-SHOWN = (2, 3, 5, 7, 11, 13)  # orders that are results
-CLEAR = 3.5  # standard uncertainties; a smaller amplitude may be noise
+RESULT_ORDERS = (2, 3, 5, 7, 11, 13)
+SIGNIFICANT_STDS = 3.5  # standard uncertainties of an amplitude; a smaller one may be noise
 
 
 def harmonics_of(holds: Sequence[TurningHold]) -> list[Estimate]:
-    """Estimate the total harmonic distortion up to the 13th order, then amplitude and phase of the orders `SHOWN`."""
+    """Estimate the total harmonic distortion up to the 13th order, then amplitude and phase of `RESULT_ORDERS`."""
     highest = min(len(waves.linkage) for hold in holds for waves in hold.waves.values())
     relative = {order: relative_to_first(holds, order) for order in range(2, highest + 1)}
     return [
         distortion(relative),
-        *(row for order in SHOWN if order in relative for row in rows(order, *relative[order])),
+        *(row for order in RESULT_ORDERS if order in relative for row in harmonic_estimates(order, *relative[order])),
     ]
 
 
@@ -42,10 +42,10 @@ def relative_to_first(holds: Sequence[TurningHold], order: int) -> tuple[complex
     return complex(np.mean(values)), math.sqrt(variance) / len(values)
 
 
-def rows(order: int, value: complex, std: float) -> list[Estimate]:
+def harmonic_estimates(order: int, value: complex, std: float) -> list[Estimate]:
     """Estimate amplitude and phase of one harmonic."""
     size, name = abs(value), f"harmonic_{order}"
-    significant = size > CLEAR * std
+    significant = size > SIGNIFICANT_STDS * std
     low, high = (size - 1.96 * std if significant else 0.0), size + 1.96 * std
     amplitude = Estimate(name, size, std, low, high, "1")
     if not significant:

@@ -16,12 +16,12 @@ from leactl.analysis.voltage_waves.waves import Array, Complex, VoltageRecord
 from leactl.runfile.read.reader import Channel, Run
 
 PAIRS = ("ab", "bc", "ca")
-DEAD = 0.05  # of the largest pair's rms; a pair with less is dead
-PILED = 0.02  # of the samples: least share at one extreme in a clipped record
-MORE_THAN_ROUND = 4.0  # least ratio of that share to the one in an unclipped sine of the same resolution
-CREST = 0.8  # of the largest reading: where samples are missing only above it, they were out of range
-WITHIN_RAD = math.radians(20.0)  # largest error of a pair's phase
-THIRD = 2.0 * math.pi / 3.0
+DEAD_PAIR_SHARE = 0.05  # of the largest pair's rms; a pair with less is dead
+LEAST_PILED_SHARE = 0.02  # of the samples, at one extreme of a clipped record
+LEAST_PILE_OVER_SINE = 4.0  # that share over the share of an unclipped sine of the same resolution
+CREST_SHARE = 0.8  # of the largest reading; samples that are missing only above it were out of range
+MOST_PHASE_ERROR_RAD = math.radians(20.0)  # of a pair's phase
+THIRD_OF_WAVE = 2.0 * math.pi / 3.0  # rad
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ def line_voltages(run: Run, start: float, stop: float) -> Noted[dict[str, LineVo
         if len(channels) != 1:
             notes.append(f"{run.path}: {len(channels) or 'no'} channels of pair {name}; one was expected")
             continue
-        record = regular(channels[0], start, stop)
+        record = regular_record(channels[0], start, stop)
         if np.isfinite(record.values).sum() < 2:
             notes.append(f"{run.path}: pair {name} has no samples from {start:.2f} to {stop:.2f} s")
             continue
@@ -50,14 +50,14 @@ def line_voltages(run: Run, start: float, stop: float) -> Noted[dict[str, LineVo
     sizes = {name: float(np.nanstd(pair.record.values)) for name, pair in pairs.items()}
     largest = max(sizes.values(), default=0.0)
     for name, size in sizes.items():
-        reason = unusable(pairs[name], size, largest)
+        reason = reason_unusable(pairs[name], size, largest)
         if reason:
             notes.append(f"{run.path}: pair {name} from {start:.2f} s {reason}; it does not count")
             del pairs[name]
     return Noted(pairs, tuple(notes))
 
 
-def regular(channel: Channel, start: float, stop: float) -> VoltageRecord:
+def regular_record(channel: Channel, start: float, stop: float) -> VoltageRecord:
     """Return the samples from start to before stop [s] on an even grid of stamps, NaN where one is missing."""
     begin, end = (int(index) for index in np.searchsorted(channel.time, (start, stop), side="left"))
     time, values = channel.time[begin:end], channel.values[begin:end]
@@ -79,25 +79,25 @@ def resolution_of(values: Array) -> float:
     return float(steps.min()) if len(steps) else 0.0
 
 
-def unusable(pair: LineVoltage, size: float, largest: float) -> str:
+def reason_unusable(pair: LineVoltage, size: float, largest: float) -> str:
     """Return the reason why a pair cannot be used; empty if it can.
 
     `size` is its standard deviation [V], and `largest` the largest one of all pairs.
     """
     values = pair.record.values
     finite = np.isfinite(values)
-    if size < DEAD * largest or size == 0.0:
+    if size < DEAD_PAIR_SHARE * largest or size == 0.0:
         return f"is dead: {size:.3g} V rms, {largest:.3g} V on another pair"
     highest = float(np.abs(values[finite]).max())
     edges = np.diff(finite.astype(np.int8))
     beside_gaps = np.abs(np.concatenate([values[:-1][edges < 0], values[1:][edges > 0]]))
-    if len(beside_gaps) and float(np.median(beside_gaps)) > CREST * highest:
+    if len(beside_gaps) and float(np.median(beside_gaps)) > CREST_SHARE * highest:
         return f"lacks the crests of its waves, beyond {highest:.4g} V: give its input a wider range"
     # share of a sine that is within one resolution of its top
     sine_share = 2.0 * math.sqrt(2.0 * pair.resolution / highest) / (2.0 * math.pi)
     for extreme in (float(values[finite].max()), float(values[finite].min())):
         share = float(np.mean(values[finite] == extreme))
-        if share > max(PILED, MORE_THAN_ROUND * sine_share):
+        if share > max(LEAST_PILED_SHARE, LEAST_PILE_OVER_SINE * sine_share):
             return f"is clipped at {extreme:.4g} V: give its input a wider range"
     return ""
 
@@ -115,11 +115,14 @@ def connection_of(phasors: Mapping[str, complex]) -> LeadConnection | None:
     angle = {name: math.atan2(value.imag, value.real) for name, value in phasors.items()}
     for forward, swapped in itertools.product((True, False), (None, *PAIRS)):
         signs = {name: -1 if name == swapped else 1 for name in PAIRS}
-        expected = {"bc": -THIRD if forward else THIRD, "ca": THIRD if forward else -THIRD}
+        expected = {
+            "bc": -THIRD_OF_WAVE if forward else THIRD_OF_WAVE,
+            "ca": THIRD_OF_WAVE if forward else -THIRD_OF_WAVE,
+        }
         phase_errors = [
             angle[name] - angle["ab"] - lag - math.pi * (signs[name] != signs["ab"]) for name, lag in expected.items()
         ]
-        if all(abs(math.remainder(error, 2.0 * math.pi)) < WITHIN_RAD for error in phase_errors):
+        if all(abs(math.remainder(error, 2.0 * math.pi)) < MOST_PHASE_ERROR_RAD for error in phase_errors):
             return LeadConnection(signs, forward)
     return None
 

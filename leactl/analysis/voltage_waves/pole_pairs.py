@@ -10,8 +10,8 @@ from leactl.analysis.voltage_waves.waves import Angle, Array
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run
 
-FEWEST = 10  # samples of the shaft's angle or velocity
-APART = 0.01  # of the count: largest distance from a whole number where the uncertainty is small
+FEWEST_SAMPLES = 10  # of the shaft's angle or velocity
+MOST_OFF_WHOLE = 0.01  # of the count, from a whole number, where the uncertainty is small
 
 
 class ShaftMotion(NamedTuple):
@@ -34,14 +34,18 @@ def shaft_motion(run: Run, angle: Angle) -> ShaftMotion:
         for role in ("test", "load"):
             for channel in run.channels(quantity, role):
                 samples = samples_between(channel, start, stop)
-                if np.isfinite(channel.values[samples]).sum() >= FEWEST:
-                    motion = by_angle(channel, angle) if quantity == "angle" else by_velocity(channel, start, stop)
+                if np.isfinite(channel.values[samples]).sum() >= FEWEST_SAMPLES:
+                    motion = (
+                        motion_by_angle(channel, angle)
+                        if quantity == "angle"
+                        else motion_by_velocity(channel, start, stop)
+                    )
                     if abs(motion.turned) > 10.0 * motion.std:
                         return motion
-    raise NotIdentifiable("the run does not tell how far the shaft turned: no angle and no velocity that moved")
+    raise NotIdentifiable("the run does not show how far the shaft turned: no angle and no velocity that moved")
 
 
-def by_angle(channel: Channel, angle: Angle) -> ShaftMotion:
+def motion_by_angle(channel: Channel, angle: Angle) -> ShaftMotion:
     """Measure the rotation of the shaft, and its ripple, by an encoder's angle."""
     finite = np.isfinite(channel.values)
     time, values = channel.time[finite], channel.values[finite]
@@ -76,7 +80,7 @@ def ripple_of(electrical: Array, shaft: Array, turned: float, angle: Angle) -> f
     return 2.0 * amplitude * 2.0 * math.pi * waves / abs(turned) if amplitude > 4.0 * noise else 0.0
 
 
-def by_velocity(channel: Channel, start: float, stop: float) -> ShaftMotion:
+def motion_by_velocity(channel: Channel, start: float, stop: float) -> ShaftMotion:
     """Measure the rotation of the shaft from start to before stop [s] by its mean velocity; its ripple is 0."""
     values = channel.values[samples_between(channel, start, stop)]
     duration = stop - start
@@ -103,7 +107,7 @@ def whole_pole_pairs(count: float, std: float, error_prefix: str) -> int:
     nearest_count = round(count)
     if (
         nearest_count < 1
-        or abs(count - nearest_count) > max(3.0 * std, APART * nearest_count)
+        or abs(count - nearest_count) > max(3.0 * std, MOST_OFF_WHOLE * nearest_count)
         or abs(count - nearest_count) > 0.4
     ):
         raise NotIdentifiable(

@@ -57,7 +57,7 @@ def spans_of(run: Run) -> Noted[list[tuple[float, float]]]:
     if not steps:
         channels = [channel for name in PAIRS for channel in run.channels(f"phase_voltage_{name}", role="test")]
         times = [channel.time for channel in channels if len(channel.time)]
-        note = f"{run.path}: the run tells no steps; its whole record is used"
+        note = f"{run.path}: the run has no steps; its whole record is used"
         if not times:
             return Noted([], (note,))
         stop = math.nextafter(max(time[-1] for time in times), math.inf)
@@ -82,7 +82,7 @@ def follow_waves(run: Run, start: float, pairs: Mapping[str, LineVoltage]) -> No
     """
     if not pairs:
         raise NotIdentifiable("no pair that can be used")
-    angle = follow(pairs[best_of(pairs)].record)
+    angle = follow(pairs[best_pair(pairs)].record)
     waves = {name: waves_of(pair.record, angle) for name, pair in pairs.items()}
     notes = []
     for name in list(waves):
@@ -117,7 +117,7 @@ def turning_hold(
         third = third_voltage([pair_waves.linkage[0] for pair_waves in waves.values()])
         sizes_of_pairs.append(sizes_of(Waves(third[np.newaxis], np.zeros(0))))
         missing = next(name for name in PAIRS if name not in waves)
-        findings.append(f"pair {missing} is taken as what the other two leave of zero")
+        findings.append(f"pair {missing} is computed from the other two: all three add up to zero")
     samples = len(angle.time) / max(len(angle.edges) - 1, 1)
     rounding = {
         name: pairs[name].resolution / math.sqrt(12.0) * math.sqrt(2.0 / samples) / amplitudes[name] for name in waves
@@ -153,7 +153,7 @@ def refuse_powered(run: Run, start: float, stop: float) -> None:
             raise NotIdentifiable("the test drive was enabled: its leads carry more than back-EMF")
 
 
-def best_of(pairs: Mapping[str, LineVoltage]) -> str:
+def best_pair(pairs: Mapping[str, LineVoltage]) -> str:
     """Return the name of the pair with the fewest missing samples; of several such pairs, that of the largest."""
 
     def quality_of(name: str) -> tuple[float, float]:

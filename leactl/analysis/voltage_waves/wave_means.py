@@ -12,8 +12,8 @@ from leactl.analysis.statistics.intervals import half_width
 from leactl.analysis.statistics.regression import POOLING_P_VALUE
 from leactl.analysis.voltage_waves.waves import Array
 
-CLEAR = 5.0  # standard errors; a smaller drift may be chance
-DRIFTS = 1e-3  # of the mean, over a hold; a smaller drift does not count
+LEAST_DRIFT_ERRORS = 5.0  # standard errors of a drift; a smaller one may be chance
+LEAST_DRIFT = 1e-3  # of the mean, over a hold
 
 
 @dataclass(frozen=True)
@@ -41,15 +41,15 @@ class CommonUncertainties:
         return CommonUncertainties(0.0, self.time_base, 0.0)
 
     @property
-    def scattered(self) -> float:
+    def scale_and_rounding(self) -> float:
         """Return scale and rounding added in squares; the time base has a uniform distribution and is not in it."""
         return math.hypot(self.scale, self.resolution)
 
 
 def constant_of(name: str, units: str, series: Sequence[Array], shares: CommonUncertainties) -> Estimate:
     """Estimate a constant from the waves of every hold, with its 95 % interval."""
-    value, scatter_std, dof = pooled(series)
-    std_without_time_base = math.hypot(scatter_std, shares.scattered * value)
+    value, scatter_std, dof = mean_over_holds(series)
+    std_without_time_base = math.hypot(scatter_std, shares.scale_and_rounding * value)
     effective = (
         dof * (std_without_time_base / scatter_std) ** 4 if scatter_std > 1e-9 * std_without_time_base else math.inf
     )
@@ -58,7 +58,7 @@ def constant_of(name: str, units: str, series: Sequence[Array], shares: CommonUn
     return Estimate(name, value, std, value - half, value + half, units)
 
 
-def pooled(series: Sequence[Array]) -> tuple[float, float, float]:
+def mean_over_holds(series: Sequence[Array]) -> tuple[float, float, float]:
     """Average over holds; return mean, standard error and degrees of freedom.
 
     The standard error follows from the scatter between holds where that is more than the holds' uncertainties explain.
@@ -93,4 +93,4 @@ def drift_of(series: Array) -> float:
     slope = float(position @ values) / float(position @ position)
     residuals = values - values.mean() - slope * position
     error = math.sqrt(float(residuals @ residuals) / (count - 2) / float(position @ position))
-    return slope if abs(slope) > max(CLEAR * error, DRIFTS * abs(float(values.mean()))) else 0.0
+    return slope if abs(slope) > max(LEAST_DRIFT_ERRORS * error, LEAST_DRIFT * abs(float(values.mean()))) else 0.0

@@ -19,14 +19,14 @@ Complex = npt.NDArray[np.complex128]
 Numbers = TypeVar("Numbers", npt.NDArray[np.float64], npt.NDArray[np.complex128])
 
 FEWEST_WAVES = 5
-AT_THE_ENDS = 7  # waves that are lost at both ends when the phase is followed
-GAP = 0.05  # of a wave: longest gap that a straight line may bridge
-REACH = 3.0  # waves to either side that the angle at a moment is computed from
-LEAST_SIZE = 0.5  # of the median: a smaller smoothed fundamental lies in a gap
-FEWEST_SAMPLES = 6  # a wave
-DOMINANT = 0.5  # of the power: least share of the spectrum's peak with its neighbours where there is a wave to follow
-NEIGHBOURS = 0.15  # of the peak's frequency: width over which a drift of the speed spreads it
-ORDERS = 13  # harmonics, the fundamental included
+WAVES_LOST_AT_ENDS = 7  # when the phase is followed, both ends together
+LONGEST_BRIDGED_GAP = 0.05  # of a wave, by a straight line
+PHASE_REACH = 3.0  # waves to either side, from which the angle at a moment is computed
+LEAST_SIZE = 0.5  # of the median; a smaller smoothed fundamental lies in a gap
+FEWEST_SAMPLES_A_WAVE = 6
+LEAST_PEAK_POWER = 0.5  # of the spectrum's power, in its peak with neighbours; with less there is no wave to follow
+PEAK_WIDTH = 0.15  # of the peak's frequency, over which a drift of the speed spreads it
+MOST_HARMONICS = 13  # the fundamental included
 
 
 class VoltageRecord(NamedTuple):
@@ -43,7 +43,7 @@ class Angle:
     time: Array  # s
     values: Array  # rad, increasing
     edges: Array  # s, where whole waves begin and end
-    sure: npt.NDArray[np.bool_]  # for each wave: no gap lies within `REACH` of it
+    gap_free: npt.NDArray[np.bool_]  # for each wave: no gap lies within `PHASE_REACH` of it
 
     def at(self, time: Array) -> Array:
         """Return the angle at other times [s]; before and after the followed waves it stays constant."""
@@ -70,14 +70,14 @@ def frequency_of(record: VoltageRecord) -> float:
     ------
     NotIdentifiable : no frequency has most of the power.
     """
-    values = filled(record.values)
+    values = bridge_gaps(record.values)
     values = values - values.mean()
     power = np.abs(np.fft.rfft(values * np.hanning(len(values)))) ** 2
     power[0] = 0.0
     total = float(power.sum())
     peak = int(np.argmax(power))
-    around_peak = np.abs(np.arange(len(power)) - peak) <= max(2.0, NEIGHBOURS * peak)
-    if not total > 0.0 or float(power[around_peak].sum()) < DOMINANT * total:
+    around_peak = np.abs(np.arange(len(power)) - peak) <= max(2.0, PEAK_WIDTH * peak)
+    if not total > 0.0 or float(power[around_peak].sum()) < LEAST_PEAK_POWER * total:
         raise NotIdentifiable("no wave stands out of the noise")
     mean_bin = float(np.average(np.flatnonzero(around_peak), weights=power[around_peak]))
     return mean_bin / (float(record.time[-1] - record.time[0]) * len(values) / (len(values) - 1))
@@ -94,37 +94,37 @@ def follow(record: VoltageRecord) -> Angle:
     ------
     NotIdentifiable : no wave stands out of the noise, too few waves, or too few samples in each wave.
     """
-    time, values = record.time, filled(record.values)
+    time, values = record.time, bridge_gaps(record.values)
     frequency = frequency_of(record)
     samples_per_wave = 1.0 / (frequency * float(np.median(np.diff(time))))
-    if samples_per_wave < FEWEST_SAMPLES:
+    if samples_per_wave < FEWEST_SAMPLES_A_WAVE:
         raise NotIdentifiable(
-            f"{samples_per_wave:.1f} samples a wave of {frequency:.4g} Hz; {FEWEST_SAMPLES} at least are needed"
+            f"{samples_per_wave:.1f} samples a wave of {frequency:.4g} Hz; {FEWEST_SAMPLES_A_WAVE} at least are needed"
         )
-    span, least = float(time[-1] - time[0]) * frequency, FEWEST_WAVES + AT_THE_ENDS
+    span, least = float(time[-1] - time[0]) * frequency, FEWEST_WAVES + WAVES_LOST_AT_ENDS
     if span < least:
         raise NotIdentifiable(
             f"{span:.1f} waves of {frequency:.4g} Hz; {least} at least are needed: turn longer or faster"
         )
     wave, centred = round(samples_per_wave), values - values.mean()
     carrier = 2.0 * np.pi * frequency * (time - time[0])
-    coarse_angle = over_two_waves(demodulated(centred, carrier, wave), wave)
+    coarse_angle = mean_over_two_waves(demodulated_phase(centred, carrier, wave), wave)
     coarse_range = slice(2 * (wave - 1), 2 * (wave - 1) + len(coarse_angle))
     grid = np.arange(coarse_angle[0], coarse_angle[-1], 2.0 * np.pi / wave)
     moments = np.interp(grid, coarse_angle, time[coarse_range])
-    angle = demodulated(np.interp(moments, time, centred), grid, wave)
+    angle = demodulated_phase(np.interp(moments, time, centred), grid, wave)
     times = moments[wave - 1 : wave - 1 + len(angle)]
     if not (np.diff(coarse_angle) > 0.0).all() or not (np.diff(angle) > 0.0).all():
         raise NotIdentifiable(f"the phase of a wave of {frequency:.4g} Hz is lost in noise")
     turns = np.arange(np.ceil(angle[0] / (2.0 * np.pi)), np.floor(angle[-1] / (2.0 * np.pi)) + 1.0)
     edges = np.interp(2.0 * np.pi * turns, angle, times)
-    gaps = time[in_gaps(record.values, round(GAP * samples_per_wave))]
-    reach = REACH / frequency
-    sure = np.searchsorted(gaps, edges[1:] + reach) == np.searchsorted(gaps, edges[:-1] - reach)
-    return Angle(times, angle, edges, sure)
+    gaps = time[gap_mask(record.values, round(LONGEST_BRIDGED_GAP * samples_per_wave))]
+    reach = PHASE_REACH / frequency
+    gap_free = np.searchsorted(gaps, edges[1:] + reach) == np.searchsorted(gaps, edges[:-1] - reach)
+    return Angle(times, angle, edges, gap_free)
 
 
-def in_gaps(values: Array, longest: int) -> npt.NDArray[np.bool_]:
+def gap_mask(values: Array, longest: int) -> npt.NDArray[np.bool_]:
     """Mark missing samples in gaps longer than `longest` samples, which a straight line does not represent."""
     missing = ~np.isfinite(values)
     starts = np.flatnonzero(np.diff(missing.astype(np.int8), prepend=0) == 1)
@@ -135,13 +135,13 @@ def in_gaps(values: Array, longest: int) -> npt.NDArray[np.bool_]:
     return missing
 
 
-def demodulated(voltage: Array, carrier: Array, wave: int) -> Array:
+def demodulated_phase(voltage: Array, carrier: Array, wave: int) -> Array:
     """Return the phase of a voltage's fundamental [rad], shorter than the voltage by one wave at either end.
 
     `carrier` is the phase to demodulate with, and `wave` the number of samples in a wave. Over gaps the phase relative
     to the carrier is interpolated.
     """
-    smooth = over_two_waves(voltage * np.exp(-1j * carrier), wave)
+    smooth = mean_over_two_waves(voltage * np.exp(-1j * carrier), wave)
     amplitude = np.abs(smooth)
     large_enough = amplitude > LEAST_SIZE * float(np.median(amplitude))
     indices = np.arange(len(smooth))
@@ -152,14 +152,14 @@ def demodulated(voltage: Array, carrier: Array, wave: int) -> Array:
 def waves_of(record: VoltageRecord, angle: Angle) -> Waves:
     """Compute the flux linkages of a voltage over the waves of an angle, which may come from another pair's voltage."""
     samples_per_wave = len(angle.time) / max(len(angle.edges) - 1, 1)
-    orders = max(1, min(ORDERS, int(samples_per_wave / 2.5)))
+    orders = max(1, min(MOST_HARMONICS, int(samples_per_wave / 2.5)))
     time, missing = record.time, ~np.isfinite(record.values)
     values = np.where(missing, 0.0, record.values)
     rotation = np.exp(-1j * angle.at(time))
     edges = angle.edges
     widths, step, missing_times = np.diff(edges), float(np.median(np.diff(time))), time[missing]
     incomplete = np.searchsorted(missing_times, edges[1:] + step) > np.searchsorted(missing_times, edges[:-1] - step)
-    incomplete |= ~angle.sure
+    incomplete |= ~angle.gap_free
     offset = np.diff(integral_at(edges, time, values)).real / widths
     centred = values - (float(np.mean(offset[~incomplete])) if not incomplete.all() else 0.0)
     linkage = np.empty((orders, len(widths)), np.complex128)
@@ -184,7 +184,7 @@ def integral_at(moments: Array, time: Array, values: npt.NDArray[np.complexfloat
     return np.asarray(cumulative[index] + remainder * (values[index] + 0.5 * remainder * slope), np.complex128)
 
 
-def over_two_waves(values: Numbers, wave: int) -> Numbers:
+def mean_over_two_waves(values: Numbers, wave: int) -> Numbers:
     """Average over two waves of `wave` samples with triangular weights."""
     for _ in range(2):
         cumulative = np.concatenate([np.zeros(1, values.dtype), np.cumsum(values)])
@@ -192,7 +192,7 @@ def over_two_waves(values: Numbers, wave: int) -> Numbers:
     return values
 
 
-def filled(values: Array) -> Array:
+def bridge_gaps(values: Array) -> Array:
     """Bridge missing samples by straight lines; only the phase is followed over them, and waves with gaps do not count.
 
     Raises
