@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.anova.one_way import SHOWN, Anova, FTest, f_test
+from leactl.analysis.anova.one_way import SIGNIFICANCE, Anova, FTest, f_test
 from leactl.analysis.anova.values import Array, Values
 
-DOUBTFUL = 0.01  # probability below which an assumption counts as broken: several are checked
-FEWEST = 3
+DOUBTFUL_PROBABILITY = 0.01  # below which an assumption counts as broken; several are checked
+FEWEST_VALUES = 3  # that a test of an assumption takes
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Check:
     @property
     def doubtful(self) -> bool:
         """Return whether the assumption is broken by more than chance."""
-        return self.p is not None and self.p < DOUBTFUL
+        return self.p is not None and self.p < DOUBTFUL_PROBABILITY
 
 
 def checks(values: Values, anova: Anova) -> list[Check]:
@@ -44,11 +44,11 @@ def checks(values: Values, anova: Anova) -> list[Check]:
 def _normal(residuals: Array, raw: Sequence[Array]) -> Check:
     from scipy.stats import kruskal, shapiro
 
-    if len(residuals) < FEWEST:
+    if len(residuals) < FEWEST_VALUES:
         return Check("normal residuals (Shapiro-Wilk)", None)
     p = float(shapiro(residuals).pvalue)
     note = ""
-    if p < DOUBTFUL and raw:
+    if p < DOUBTFUL_PROBABILITY and raw:
         note = f"by ranks (Kruskal-Wallis) conditions differ with p = {float(kruskal(*raw).pvalue):.2g}"
     return Check("normal residuals (Shapiro-Wilk)", p, note)
 
@@ -57,7 +57,7 @@ def _equal_scatter(groups: Sequence[Array], welch: FTest | None) -> Check:
     from scipy.stats import levene
 
     name = "equal scatter (Brown-Forsythe)"
-    if min(map(len, groups)) < FEWEST:
+    if min(map(len, groups)) < FEWEST_VALUES:
         return Check(name, None)
     p = float(levene(*groups, center="median").pvalue)
     note = "" if welch is None else f"without it (Welch) conditions differ with p = {welch.p:.2g}"
@@ -100,7 +100,7 @@ def _runs_alike(values: Values) -> Check:
     if within_square <= 0.0:
         return Check(name, None)
     p = f_test((total_square - within_square) / between, between, within_square / within, within).p
-    return Check(name, p, "trials of a run are not independent of each other: --by-run" if p < SHOWN else "")
+    return Check(name, p, "trials of a run are not independent of each other: --by-run" if p < SIGNIFICANCE else "")
 
 
 def _groups(values: Array, labels: npt.NDArray[np.int64]) -> list[Array]:

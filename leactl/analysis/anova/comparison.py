@@ -10,7 +10,7 @@ import numpy as np
 from leactl.analysis.anova.assumptions import Check, checks
 from leactl.analysis.anova.effect_size import EffectSize, omega_squared
 from leactl.analysis.anova.one_way import Anova, FTest, anova
-from leactl.analysis.anova.pairs import SEEN, PairwiseDifference, pairs
+from leactl.analysis.anova.pairs import POWER, PairwiseDifference, pairs
 from leactl.analysis.anova.values import Values, values_of_runs
 from leactl.errors import InputError, NotIdentifiable
 
@@ -53,7 +53,7 @@ class Comparison:
             return (
                 f"No effect of the condition on {self.name} is shown ({statistics}). That does not show that there is"
                 f" none: differences up to {largest:.2g} {self.units} are compatible with these values, and one of"
-                f" {self._seen(self.pairs)} would have passed Tukey's test in {SEEN:.0%} of such experiments."
+                f" {self._seen(self.pairs)} would have passed Tukey's test in {POWER:.0%} of such experiments."
             )
         text = f"{self.name} differs between conditions ({statistics})"
         if clear_pairs:
@@ -63,7 +63,7 @@ class Comparison:
             unclear = ", ".join(f"{pair.first} and {pair.second}" for pair in unclear_pairs)
             text += (
                 f". Between {unclear} no difference is shown; one of {self._seen(unclear_pairs)} would have passed"
-                f" Tukey's test in {SEEN:.0%} of such experiments"
+                f" Tukey's test in {POWER:.0%} of such experiments"
             )
         return text + "."
 

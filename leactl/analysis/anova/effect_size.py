@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from leactl.analysis.anova.one_way import FTest
 
-MOST = 1e5  # noncentrality; above it the share is 1 to four digits for any number of values here
+MOST_NONCENTRALITY = 1e5  # above it the share is 1 to four digits for any number of values here
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,10 @@ def _noncentrality(lower_tail: Callable[[float], float], tail: float) -> float:
     if lower_tail(1e-9) <= tail:
         return 0.0
     high = 1.0
-    while lower_tail(high) > tail and high < MOST:
+    while lower_tail(high) > tail and high < MOST_NONCENTRALITY:
         high *= 2.0
-    return float(brentq(lambda size: lower_tail(size) - tail, 1e-9, high)) if high < MOST else MOST
+    return (
+        float(brentq(lambda size: lower_tail(size) - tail, 1e-9, high))
+        if high < MOST_NONCENTRALITY
+        else MOST_NONCENTRALITY
+    )

@@ -24,8 +24,8 @@ import numpy.typing as npt
 from leactl.analysis.anova.values import Array, Values
 from leactl.errors import NotIdentifiable
 
-FEWEST = 4  # values under a condition: fewer do not determine its scatter well enough for Welch's test
-SHOWN = 0.05  # probability below which a difference counts as shown, the paper's
+FEWEST_FOR_WELCH = 4  # values under a condition; fewer do not determine its scatter well enough
+SIGNIFICANCE = 0.05  # probability by chance, below which a difference counts as shown; the paper's
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class FTest:
     @property
     def shown(self) -> bool:
         """Return whether the ratio is more than chance."""
-        return self.p < SHOWN
+        return self.p < SIGNIFICANCE
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,14 +147,14 @@ def anova(values: Values) -> Anova:
     interaction = f_test(interaction_mean_square, cell_rank - additive_rank, cell_error.mean_square, cell_error.dof)
     interaction_factor = _trace(design.actuator, design.additive, design.cell) / (additive_rank - actuator_rank)
     at_large = f_test(
-        condition_mean_square, additive_rank - actuator_rank, *combined(cell_error, 1.0, interaction_factor)
+        condition_mean_square, additive_rank - actuator_rank, *combined_error(cell_error, 1.0, interaction_factor)
     )
     if interaction.shown:
         return Anova(design, at_large, cell_error, actuator, std, interaction, at_large, additive_residuals)
     return Anova(design, test, error, actuator, std, interaction, at_large, additive_residuals, welch_test)
 
 
-def combined(error: ErrorTerm, error_factor: float, interaction_factor: float) -> tuple[float, float]:
+def combined_error(error: ErrorTerm, error_factor: float, interaction_factor: float) -> tuple[float, float]:
     """Return the variance error_factor x error + interaction_factor x interaction, with Satterthwaite's dof."""
     if error.interaction is None:
         return error_factor * error.mean_square, error.dof
@@ -178,8 +178,8 @@ def f_test(numerator: float, between: float, denominator: float, within: float) 
 
 
 def welch(groups: Sequence[Array]) -> FTest | None:
-    """Test equal means by Welch; None where a group has fewer than `FEWEST` values or no scatter."""
-    if min(map(len, groups)) < FEWEST or min(float(np.ptp(group)) for group in groups) == 0.0:
+    """Test equal means by Welch; None where a group has fewer than `FEWEST_FOR_WELCH` values or no scatter."""
+    if min(map(len, groups)) < FEWEST_FOR_WELCH or min(float(np.ptp(group)) for group in groups) == 0.0:
         return None
     counts = np.array([len(group) for group in groups])
     means = np.array([group.mean() for group in groups])

@@ -6,11 +6,11 @@ from functools import cache
 
 import numpy as np
 
-from leactl.analysis.anova.one_way import SHOWN, Anova, combined
+from leactl.analysis.anova.one_way import SIGNIFICANCE, Anova, combined_error
 from leactl.analysis.anova.values import Values
 
-PARTS = 2000
-SEEN = 0.8  # of such experiments, in which the smallest effect would have passed this test
+CHI_PARTS = 2000  # of the distribution of the standard error
+POWER = 0.8  # share of such experiments in which the smallest visible difference would have passed the test
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class PairwiseDifference:
     low: float
     high: float
     compared: int  # conditions
-    smallest_seen: float  # size of a difference that would have passed this test in `SEEN` of such experiments
+    smallest_seen: float  # size of a difference that would have passed this test in `POWER` of such experiments
 
     @property
     def shown(self) -> bool:
@@ -52,7 +52,7 @@ def pairs(values: Values, anova: Anova) -> list[PairwiseDifference]:
             contrast[first], contrast[second] = -1.0, 1.0
             weights = contrast @ inverse  # of the values in the difference
             spread = float(np.sum((weights @ design.cell) ** 2)) if anova.error.interaction else 0.0
-            variance, dof = combined(anova.error, float(weights @ weights), spread)
+            variance, dof = combined_error(anova.error, float(weights @ weights), spread)
             std, difference = math.sqrt(variance), float(weights @ values.value)
             critical = _critical(count, round(dof, 6))
             differences.append(
@@ -65,7 +65,7 @@ def pairs(values: Values, anova: Anova) -> list[PairwiseDifference]:
                     difference - critical * std,
                     difference + critical * std,
                     count,
-                    std * _seen(critical, round(dof, 6)),
+                    std * _visible_difference(critical, round(dof, 6)),
                 )
             )
     return differences
@@ -76,21 +76,21 @@ def _critical(conditions: int, dof: float) -> float:
     """Return the difference in standard errors beyond which a pair is significant."""
     from scipy.stats import studentized_range
 
-    return float(studentized_range.ppf(1.0 - SHOWN, conditions, dof)) / math.sqrt(2.0)
+    return float(studentized_range.ppf(1.0 - SIGNIFICANCE, conditions, dof)) / math.sqrt(2.0)
 
 
 @cache
-def _seen(critical: float, dof: float) -> float:
-    """Return the true difference, in standard errors, that passes the test in a share `SEEN` of experiments.
+def _visible_difference(critical: float, dof: float) -> float:
+    """Return the true difference, in standard errors, that passes the test in a share `POWER` of experiments.
 
     The estimated standard error has a chi distribution, which is divided into parts of equal probability.
     """
     from scipy.optimize import brentq
     from scipy.stats import chi2, norm
 
-    error = np.sqrt(chi2.ppf((np.arange(PARTS) + 0.5) / PARTS, dof) / dof)
+    error = np.sqrt(chi2.ppf((np.arange(CHI_PARTS) + 0.5) / CHI_PARTS, dof) / dof)
 
     def power(size: float) -> float:
         return float(np.mean(norm.sf(critical * error - size) + norm.cdf(-critical * error - size)))
 
-    return float(brentq(lambda size: power(size) - SEEN, 0.0, critical * float(error[-1]) + 10.0))
+    return float(brentq(lambda size: power(size) - POWER, 0.0, critical * float(error[-1]) + 10.0))

@@ -30,7 +30,7 @@ from leactl.regular_files import open_regular
 from leactl.runfile.read.reader import Run, Step
 
 Array = npt.NDArray[np.float64]
-MOST_BYTES = 1 << 26  # of an answer; one of 50 runs has 200 kB
+MOST_ANSWER_BYTES = 1 << 26  # an answer of 50 runs has 200 kB
 Figure = Annotated[float, Field(ge=-1e100, le=1e100)]  # its square must be finite
 
 
@@ -223,7 +223,7 @@ def _of_answer(path: Path, first_number: int) -> tuple[str, list[TrialResults], 
     It has one trial for each actuator and condition; these are numbered from `first_number` on.
     """
     try:
-        with open_regular(path, MOST_BYTES) as stream:
+        with open_regular(path, MOST_ANSWER_BYTES) as stream:
             answer = _Answer.model_validate_json(stream.read())
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
