@@ -10,14 +10,14 @@ from typing import Any
 
 from leactl.analysis.estimate import Covariance, Estimate, Grid, Plot, Result
 from leactl.analysis.quality.channel_plausibility import channel_doubts
-from leactl.analysis.registry import GENERIC, Experiment, load, names
+from leactl.analysis.registry import GENERIC_ANALYSIS, Experiment, load, names
 from leactl.errors import InputError
 from leactl.processes import HERE, Workers
 from leactl.runfile.catalog.summaries import analysis_in
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify import integrity
 
-__all__ = ["GENERIC", "Experiment", "analyze_runs", "names"]
+__all__ = ["GENERIC_ANALYSIS", "Experiment", "analyze_runs", "names"]
 
 
 def is_known(experiment: str) -> bool:
@@ -57,7 +57,7 @@ def experiment_of(run: Run) -> str:
     """Return a run's experiment: `analysis` in its protocol, else the protocol's name if it is one, else `channels`."""
     stated = analysis_in(run.source("protocol") or "")
     protocol = str(run.attributes.get("protocol", ""))
-    return stated or (protocol if is_known(protocol) else GENERIC)
+    return stated or (protocol if is_known(protocol) else GENERIC_ANALYSIS)
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,9 @@ from leactl.analysis.estimate import Result
 from leactl.errors import InputError
 from leactl.runfile.read.reader import Run
 
-GROUP = "leactl.experiments"
-GENERIC = "channels"
-ROOM = "leactl.analysis.experiments"
+ENTRY_POINT_GROUP = "leactl.experiments"
+GENERIC_ANALYSIS = "channels"
+EXPERIMENTS_PACKAGE = "leactl.analysis.experiments"
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Experiment:
 @cache
 def shipped() -> frozenset[str]:
     """Names of the experiments of this package, one of each module in their folder."""
-    room = importlib.import_module(ROOM)
+    room = importlib.import_module(EXPERIMENTS_PACKAGE)
     return frozenset(module.name.replace("_", "-") for module in pkgutil.iter_modules(room.__path__))
 
 
@@ -87,7 +87,7 @@ def names() -> list[str]:
 @cache
 def foreign() -> dict[str, EntryPoint]:
     """Entry points of other packages by name; a shipped name stays with the shipped experiment."""
-    return {point.name: point for point in entry_points(group=GROUP) if point.name not in shipped()}
+    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in shipped()}
 
 
 def load(name: str) -> Experiment:
@@ -99,7 +99,7 @@ def load(name: str) -> Experiment:
     """
     name = name.replace("_", "-")
     if name in shipped():
-        return declared(name, "", importlib.import_module(f"{ROOM}.{name.replace('-', '_')}"))
+        return declared(name, "", importlib.import_module(f"{EXPERIMENTS_PACKAGE}.{name.replace('-', '_')}"))
     point = foreign().get(name)
     if point is None:
         raise InputError(f"analysis '{name}' is not known; known: {', '.join(names())}")

@@ -51,14 +51,14 @@ def analyze(
     ),
 ) -> None:
     """Fit the parameters that runs were made for, with 95 % intervals, by actuator and condition."""
-    from leactl.analysis.analyze import GENERIC, analyze_each, numbers
+    from leactl.analysis.analyze import GENERIC_ANALYSIS, analyze_each, numbers
     from leactl.analysis.estimate import FORMAT, VERSION
     from leactl.errors import InputError
     from leactl.runfile.catalog.summaries import run_files
     from leactl.scheduler import workers_of
 
     options = numbers(settings, torque_constant=torque_constant, torque_constant_std=torque_constant_std)
-    experiment_name = GENERIC if experiment == "generic" else experiment
+    experiment_name = GENERIC_ANALYSIS if experiment == "generic" else experiment
     folders = [path for path in runs if path.is_dir()]
     files = [file for path in runs for file in (run_files([path]) if path in folders else [path])]
     with workers_of(processes, scheduler) as workers:

@@ -179,4 +179,4 @@ def test_a_limit_that_nothing_could_meet_is_refused_before_the_run(tmp_path, lim
 
 @pytest.mark.parametrize("name", registry.names())
 def test_every_experiment_declares_its_results(name):
-    assert analyze.results_of(name) or name == analyze.GENERIC  # its results are named by the run's steps
+    assert analyze.results_of(name) or name == analyze.GENERIC_ANALYSIS  # its results are named by the run's steps

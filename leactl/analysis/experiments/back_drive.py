@@ -43,7 +43,7 @@ RESULTS = {
     "cogging_peak_to_peak": "N*m",
 }
 
-HELD = HoldSelector("velocity_rad_s", "rad/s", "load")
+VELOCITY_HOLDS = HoldSelector("velocity_rad_s", "rad/s", "load")
 ENABLED = "drive_enabled"
 LINE_POINTS = 40  # speeds of a line in the figure
 
@@ -71,12 +71,14 @@ def analyze(runs: Sequence[Run], *, torque_gain_std: float | None = None) -> Res
     gain = gain_std(runs, TORQUE, torque_gain_std)
     for run in runs:
         refuse_powered(run)
-    torques = {run.path: usable_channel(run, TORQUE, HELD) for run in runs}
+    torques = {run.path: usable_channel(run, TORQUE, VELOCITY_HOLDS) for run in runs}
     gathered = gather_means(
         runs,
         (VELOCITY, TORQUE),
-        lambda run, name: Noted(torques[run.path].value) if name == TORQUE else usable_channel(run, name, HELD),
-        HELD,
+        lambda run, name: (
+            Noted(torques[run.path].value) if name == TORQUE else usable_channel(run, name, VELOCITY_HOLDS)
+        ),
+        VELOCITY_HOLDS,
     )
     turning = holds_at_setpoint(runs, gathered.value, error_prefix)
     levels = turning.value
@@ -127,7 +129,7 @@ def refuse_powered(run: Run) -> None:
     if not run.has(ENABLED):
         return
     enabled = run.channel(ENABLED)
-    for hold in HELD.holds_of(run):
+    for hold in VELOCITY_HOLDS.holds_of(run):
         part = (enabled.time >= hold.start) & (enabled.time < hold.stop)
         if np.any(enabled.values[part] > 0.0):
             raise NotIdentifiable(f"{run.path}: the test drive was on at {hold.start:.1f} s; back-drive is unpowered")

@@ -22,8 +22,8 @@ from leactl.runfile.read.reader import Channel, Run, Step
 
 RESULTS: dict[str, str] = {}  # named by the steps and channels of a run
 
-BINS = 40  # of a histogram
-NOISY = ("torque", "q_axis_current", "velocity")  # whose readings differ by noise even where nothing moves
+HISTOGRAM_BINS = 40
+NOISY_QUANTITIES = ("torque", "q_axis_current", "velocity")  # their readings differ by noise even if nothing moves
 MOST_PLOTTED = 3  # channels; with more, only chosen ones are plotted
 SETPOINT_KEYS = ("current_A", "velocity_rad_s", "angle_rad")  # parameters of a hold that moves to a setpoint
 KEPT_SETPOINT_KEYS = ({"repeat"}, {"repeat", "until"})  # all parameters of a hold that keeps the setpoint before it
@@ -116,7 +116,7 @@ def stuck_notes(run: Run, name: str, channel: Channel) -> Iterator[str]:
     A drive that is off and a shaft that stands read 0.
     """
     readings = channel.values[np.isfinite(channel.values)]
-    if channel.quantity not in NOISY or len(readings) < FEWEST_SAMPLES or np.any(readings != readings[0]):
+    if channel.quantity not in NOISY_QUANTITIES or len(readings) < FEWEST_SAMPLES or np.any(readings != readings[0]):
         return
     if readings[0] or channel.quantity not in CONSTANT_AT_REST:
         yield f"{run.path}: {name} reads exactly {readings[0]:.6g} {channel.units} throughout: is its sensor connected?"
@@ -283,8 +283,8 @@ def mean_of(repeats: Sequence[Estimate]) -> Estimate:
 
 
 def histogram_counts(channel: Channel) -> tuple[Array, Array]:
-    """Return the middles of a histogram's bins and the number of readings in each, shape (`BINS`,) both."""
-    counts, edges = np.histogram(channel.values[np.isfinite(channel.values)], bins=BINS)
+    """Return the middles of a histogram's bins and the number of readings in each, shape (`HISTOGRAM_BINS`,) both."""
+    counts, edges = np.histogram(channel.values[np.isfinite(channel.values)], bins=HISTOGRAM_BINS)
     return 0.5 * (edges[1:] + edges[:-1]), counts.astype(np.float64)
 
 

@@ -36,14 +36,14 @@ RESULTS = {
 }
 
 CURRENT, VELOCITY, ENABLED = "q_axis_current", "velocity", "drive_enabled"
-HELD = HoldSelector("velocity_rad_s", "rad/s")
+VELOCITY_HOLDS = HoldSelector("velocity_rad_s", "rad/s")
 COAST = "coast"
 SLOWEST_PART = 0.1  # of the held speed; below it, the filter's lag and sticking show
 FEWEST_SAMPLES = 20
-MOST_MISSED = 0.05  # of the setpoint, by which a held velocity may be off it
+MOST_SPEED_ERROR = 0.05  # of the setpoint, by which a held velocity may differ from it
 MOST_ABOVE_HELD = 0.05  # of the held speed, by which a run-out may be faster
-OVER_INERTIA = {"coulomb": "rad/s^2", "damping": "1/s", "quadratic": "1/rad"}
-DRAG = {"coulomb_friction": "N*m", "viscous_damping": "N*m*s/rad", "quadratic_drag": "N*m*s^2/rad^2"}
+UNITS_OVER_INERTIA = {"coulomb": "rad/s^2", "damping": "1/s", "quadratic": "1/rad"}
+DRAG_UNITS = {"coulomb_friction": "N*m", "viscous_damping": "N*m*s/rad", "quadratic_drag": "N*m*s^2/rad^2"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +116,9 @@ def analyze(
         refuse_below_zero(results[0], error_prefix, "current and velocity")
     except NotIdentifiable as fault:
         notes.append(f"{fault}; a run-out alone gives no inertia, only what is over it")
-        units = {"rotor_inertia": "kg*m^2", **DRAG}
+        units = {"rotor_inertia": "kg*m^2", **DRAG_UNITS}
         results += [Estimate(name, NAN, NAN, NAN, NAN, unit) for name, unit in units.items()]
-    for index, (name, unit) in enumerate(OVER_INERTIA.items()):
+    for index, (name, unit) in enumerate(UNITS_OVER_INERTIA.items()):
         values = [run_out.fit[index] for run_out in run_outs]
         results.append(mean_of(values, trials, f"{name}_over_inertia", unit))
     notes[:0] = unit_notes(runs, results, [CURRENT], [VELOCITY], torque_constant)
@@ -135,7 +135,7 @@ def inertia_and_drag(
     ]
     relative = math.hypot(constants.relative_std, max(run_out.rounding for run_out in run_outs))
     results = [mean_of(inertias, trials, "rotor_inertia", "kg*m^2", relative)]
-    for index, (name, unit) in enumerate(DRAG.items()):
+    for index, (name, unit) in enumerate(DRAG_UNITS.items()):
         values = [inertia * run_out.fit[index] for inertia, run_out in zip(inertias, run_outs, strict=True)]
         results.append(mean_of(values, trials, name, unit, relative))
     return results
@@ -146,7 +146,7 @@ def run_outs_of(run: Run, number: int) -> Noted[list[RunOut]]:
     run_outs: list[RunOut] = []
     left_out: dict[str, list[str]] = {}
     steps = run.steps
-    velocity, current = (usable_channel(run, name, HELD, least=1) for name in (VELOCITY, CURRENT))
+    velocity, current = (usable_channel(run, name, VELOCITY_HOLDS, least=1) for name in (VELOCITY, CURRENT))
     for step in (step for step in steps if step.name == COAST):
         try:
             run_outs.append(run_out_of(run, number, step, velocity.value, current.value))
@@ -165,7 +165,7 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
     ------
     NotIdentifiable : the run-out cannot be used; the message is the reason.
     """
-    before = [hold for hold in HELD.holds_of(run) if hold.stop <= step.start + 1e-9]
+    before = [hold for hold in VELOCITY_HOLDS.holds_of(run) if hold.stop <= step.start + 1e-9]
     if not before:
         raise NotIdentifiable("no held velocity before it")
     speed, drive = (settled_mean(channel, before[-1].start, before[-1].stop) for channel in (velocity, current))
@@ -173,7 +173,7 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
         raise NotIdentifiable("too little velocity or current in the hold before it")
     if drive.value == 0.0:
         raise NotIdentifiable("no current held the speed before it")
-    if abs(speed.value - before[-1].setpoint) > MOST_MISSED * abs(before[-1].setpoint):
+    if abs(speed.value - before[-1].setpoint) > MOST_SPEED_ERROR * abs(before[-1].setpoint):
         raise NotIdentifiable("the velocity was not reached in the hold before it")
     direction = 1 if speed.value > 0.0 else -1
     coasting = samples_between(velocity, step.start + step.settle, step.stop)

@@ -44,7 +44,7 @@ RESULTS = {
 }
 
 CURRENT = "q_axis_current"
-HELD = HoldSelector("velocity_rad_s", "rad/s")
+VELOCITY_HOLDS = HoldSelector("velocity_rad_s", "rad/s")
 DRAG_OF_IRON_LOSS = {"hysteresis_torque": "coulomb_friction", "eddy_damping": "viscous_damping"}
 LINE_POINTS = 40  # speeds of a line in the figure
 
@@ -95,7 +95,9 @@ def analyze(
     }
     constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
     notes = setup_notes(runs, ("free",), "losses of whatever else is on the shaft are counted in")
-    gathered = gather_means(runs, (VELOCITY, CURRENT), partial(usable_channel, hold_selector=HELD), HELD)
+    gathered = gather_means(
+        runs, (VELOCITY, CURRENT), partial(usable_channel, hold_selector=VELOCITY_HOLDS), VELOCITY_HOLDS
+    )
     turning = holds_at_setpoint(runs, gathered.value, error_prefix)
     levels = turning.value
     notes += [*gathered.notes, *turning.notes]

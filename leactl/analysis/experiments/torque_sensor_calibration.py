@@ -40,7 +40,7 @@ RESULTS = {
     "expanded_uncertainty": "N*m",
 }
 
-HELD = HoldSelector("weight_Nm", "N*m", "bench")
+WEIGHT_HOLDS = HoldSelector("weight_Nm", "N*m", "bench")
 GRAVITY_OF_HOLDS = 9.80665  # m/s^2, by which the torques of the holds were worked out
 GRAVITY_WITHIN = 0.026  # m/s^2: 9.780 at the equator to 9.832 at the poles
 MASS_STD = 5e-4 / math.sqrt(3.0)  # relative: OIML R 111, class M3
@@ -106,7 +106,7 @@ def analyze(
     error_prefix = f"{paths_of(runs)}: torque sensor calibration"
     weighed = reference_of(runs, gravity, gravity_std, mass_relative_std, arm_std_m)
     reference = weighed.value
-    gathered = gather_means(runs, (TORQUE,), partial(usable_channel, hold_selector=HELD), HELD)
+    gathered = gather_means(runs, (TORQUE,), partial(usable_channel, hold_selector=WEIGHT_HOLDS), WEIGHT_HOLDS)
     levels = gathered.value
     notes = [*weighed.notes, *gathered.notes]
     weights = np.unique(np.round(levels.setpoint, 9))

@@ -17,8 +17,8 @@ from leactl.analysis.statistics.jackknife import LevelValue, TrialFigure, mean_o
 from leactl.analysis.statistics.regression import Array
 
 HALF_POWER = math.sqrt(0.5)
-ONE_SIDED = 1.645  # standard errors of a bound at 95 %
-TINY = 1e-9  # of a turn, in place of zero
+ONE_SIDED_STDS = 1.645  # standard errors to a bound at 95 %
+LEAST_TURNS = 1e-9  # of frequency times interval, in place of zero
 
 
 def bandwidth_of(
@@ -65,7 +65,9 @@ def bandwidth_of(
 
 def gain_bound(response: Response, side: int) -> Response:
     """Return the response with the lowest gain (`side` -1) or the highest (1) that noise leaves possible at 95 %."""
-    return response._replace(value=response.value * np.maximum(1.0 + side * ONE_SIDED * response.relative_std, 0.0))
+    return response._replace(
+        value=response.value * np.maximum(1.0 + side * ONE_SIDED_STDS * response.relative_std, 0.0)
+    )
 
 
 def sampled_half_power(turns: Array) -> tuple[Array, Array]:
@@ -74,7 +76,7 @@ def sampled_half_power(turns: Array) -> tuple[Array, Array]:
     The gain is highest where the drive acts at once and lowest where it acts about the middle of a sample. `turns` is
     frequency times sample interval, shape (frequencies,), as are both gains.
     """
-    angle = math.pi * np.maximum(turns, TINY)
+    angle = math.pi * np.maximum(turns, LEAST_TURNS)
     highest = 1.0 / np.hypot(1.0, np.sin(angle) / np.sinh(angle))
     return highest, highest * np.cos(angle)
 

@@ -19,7 +19,7 @@ from leactl.analysis.statistics.regression import Array
 
 Complex = npt.NDArray[np.complex128]
 Mask = npt.NDArray[np.bool_]
-FINER = 4  # grid points from one resolved frequency to the next
+POINTS_PER_RESOLVED = 4  # of the grid, from one resolved frequency to the next
 
 
 class Spectra(NamedTuple):
@@ -61,8 +61,8 @@ class BlackmanTukey:
     @property
     def frequency(self) -> Array:
         """Return the grid of frequencies [Hz], which goes beyond the highest by what the correction needs."""
-        count = round(self.highest / self.resolved * FINER) + FINER + 1
-        return np.asarray(self.resolved / FINER * np.arange(count), np.float64)
+        count = round(self.highest / self.resolved * POINTS_PER_RESOLVED) + POINTS_PER_RESOLVED + 1
+        return np.asarray(self.resolved / POINTS_PER_RESOLVED * np.arange(count), np.float64)
 
     @property
     def window(self) -> Array:
@@ -89,9 +89,11 @@ class BlackmanTukey:
         power = spectra.input * spectra.output
         # an answer without power, as of a sensor that stands still, has nothing in common with anything
         coherence = np.divide(np.abs(spectra.cross) ** 2, power, out=np.zeros_like(power), where=power > 0.0)
-        mirrored = np.concatenate([raw[FINER:0:-1].conj(), raw])  # the response at negative frequencies
-        count = len(raw) - FINER
-        averaged = 0.5 * raw[:count] + 0.25 * (mirrored[:count] + mirrored[2 * FINER : 2 * FINER + count])
+        mirrored = np.concatenate([raw[POINTS_PER_RESOLVED:0:-1].conj(), raw])  # the response at negative frequencies
+        count = len(raw) - POINTS_PER_RESOLVED
+        averaged = 0.5 * raw[:count] + 0.25 * (
+            mirrored[:count] + mirrored[2 * POINTS_PER_RESOLVED : 2 * POINTS_PER_RESOLVED + count]
+        )
         window = self.window
         share = float(np.sum((window * (2.0 - window)) ** 2)) / (2.0 * spectra.samples)
         coherence = np.clip(coherence[:count], 1e-12, 1.0)

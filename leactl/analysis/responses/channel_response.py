@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from leactl.analysis.estimate import Estimate, Grid, Noted, Plot, Series, listed, plotted
-from leactl.analysis.responses.blackman_tukey import FINER, BlackmanTukey, Mask, Response
+from leactl.analysis.responses.blackman_tukey import POINTS_PER_RESOLVED, BlackmanTukey, Mask, Response
 from leactl.analysis.responses.noise_records import MOST_UNEVEN_INTERVAL
 from leactl.analysis.responses.noise_response import LEAST_COHERENCE, MOST_POINTS
 from leactl.analysis.signals.levels import samples_between
@@ -13,8 +13,8 @@ from leactl.analysis.statistics.regression import Array, t_quantile
 from leactl.runfile.read.reader import Channel, Run, Step
 
 EXCITATIONS = ("chirp", "multisine", "noise")
-RECORD_OVER_LAGS = 8  # length of the record over the lags to either side
-FEWEST = 80  # samples
+RECORD_OVER_LAGS = 8  # length of the record over the longest lag of its covariances
+FEWEST_SAMPLES = 80
 LEAST_POWER = 1e-3  # of the setpoint's greatest power (-30 dB); below it, a frequency is not excited
 LEAST_LINE_POWER = 0.5  # of the greatest power within a line's width; less is leakage of the window
 LISTED_FREQUENCIES = 5  # frequencies that are results; all are in the grid
@@ -71,8 +71,8 @@ def response_of(setpoint: Channel, channel: Channel, step: Step) -> Response | s
         return "not sampled with the setpoint"
     settled = samples_between(setpoint, step.start + step.settle, step.stop)
     time, reference, response_values = setpoint.time[settled], setpoint.values[settled], channel.values[settled]
-    if len(time) < FEWEST:
-        return f"fewer than {FEWEST} samples"
+    if len(time) < FEWEST_SAMPLES:
+        return f"fewer than {FEWEST_SAMPLES} samples"
     intervals = np.diff(time)
     interval = float(np.median(intervals))
     if not np.isfinite(reference + response_values).all() or np.any(
@@ -85,7 +85,9 @@ def response_of(setpoint: Channel, channel: Channel, step: Step) -> Response | s
     spectra = method.spectra(reference, response_values)
     response = method.response(spectra)
     power = spectra.input[: len(response.frequency)]
-    around = maximum_filter1d(power, 4 * FINER + 1)  # Hann's main lobe reaches two resolved frequencies to either side
+    around = maximum_filter1d(
+        power, 4 * POINTS_PER_RESOLVED + 1
+    )  # Hann's main lobe reaches two resolved frequencies to either side
     known = (
         (power > LEAST_POWER * power.max())
         & (power > LEAST_LINE_POWER * around)

@@ -17,9 +17,9 @@ from leactl.analysis.statistics.regression import Array
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run, Step
 
-FEWEST = 1600  # samples in a row, four windows of the estimator
+FEWEST_IN_A_ROW = 1600  # samples; four windows of the estimator
 STAMP_ROUNDING_S = 1e-6  # of time stamps; a sample at the end of a step may belong to its neighbour
-MOST_UNEVEN_INTERVAL = 0.2  # of an interval, by which intervals may differ
+MOST_UNEVEN_INTERVAL = 0.2  # of the median interval, by which one may differ from it
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class NoiseExperiment:
     experiment: str
     reference: str
     response: str
-    offset: str  # key of the level in a step's parameters
+    level_key: str  # key of the level in a step's parameters
     setup: str
     record_filter: tuple[int, float]  # Butterworth, of both records: order, cut-off over the noise's own
 
@@ -55,10 +55,12 @@ def records_of(run: Run, experiment: NoiseExperiment) -> Noted[list[NoiseRecord]
     NotIdentifiable : the run has no stretch of noise, or no usable one.
     """
     reference, measured = run.channel(experiment.reference, role="test"), run.channel(experiment.response, role="test")
-    steps = [step for step in run.steps if _is_noise(step, experiment.offset)]
+    steps = [step for step in run.steps if _is_noise(step, experiment.level_key)]
     if len(reference.time) != len(measured.time) or np.any(np.abs(reference.time - measured.time) > STAMP_ROUNDING_S):
         raise NotIdentifiable(f"{run.path}: {experiment.reference} and {experiment.response} are not sampled together")
-    holds = [Hold(float(step.parameters[experiment.offset]), 0, step.start + step.settle, step.stop) for step in steps]
+    holds = [
+        Hold(float(step.parameters[experiment.level_key]), 0, step.start + step.settle, step.stop) for step in steps
+    ]
     clipping_value, clipped = find_saturation(measured, holds)
     clipped_starts = {hold.start for hold in clipped}
     records: list[NoiseRecord] = []
@@ -76,15 +78,15 @@ def records_of(run: Run, experiment: NoiseExperiment) -> Noted[list[NoiseRecord]
         description = (
             f"{len(steps)} stretches of noise, none of use ({reasons})"
             if steps
-            else f"no noise with {experiment.offset}"
+            else f"no noise with {experiment.level_key}"
         )
-        raise NotIdentifiable(f"{run.path}: found {description}; one with {FEWEST} samples in a row is needed")
+        raise NotIdentifiable(f"{run.path}: found {description}; one with {FEWEST_IN_A_ROW} samples in a row is needed")
     return Noted(records, tuple(tally(left_out, str(run.path))))
 
 
-def _is_noise(step: Step, offset: str) -> bool:
-    """Return whether a step is noise of the test actuator about a level, whose key is `offset`."""
-    level = step.parameters.get(offset)
+def _is_noise(step: Step, level_key: str) -> bool:
+    """Return whether a step is noise of the test actuator about a level, whose key is `level_key`."""
+    level = step.parameters.get(level_key)
     numeric = isinstance(level, int | float) and not isinstance(level, bool)
     return step.name == "noise" and numeric and step.parameters.get("role", "test") == "test"
 
@@ -97,21 +99,21 @@ def _record(
 
     begin, end = np.searchsorted(reference.time, (step.start + STAMP_ROUNDING_S, step.stop - STAMP_ROUNDING_S))
     time = reference.time[begin:end]
-    if end - begin < FEWEST:
+    if end - begin < FEWEST_IN_A_ROW:
         return "too few samples"
     interval = float(np.median(np.diff(time)))
-    missed = ~np.isfinite(reference.values[begin:end] + measured.values[begin:end])
-    broken = np.flatnonzero(np.abs(np.diff(time) / interval - 1.0) > MOST_UNEVEN_INTERVAL)
-    stops = np.unique(np.concatenate([[-1], np.flatnonzero(missed), [end - begin]]))
+    is_missing = ~np.isfinite(reference.values[begin:end] + measured.values[begin:end])
+    gap_after = np.flatnonzero(np.abs(np.diff(time) / interval - 1.0) > MOST_UNEVEN_INTERVAL)
+    stops = np.unique(np.concatenate([[-1], np.flatnonzero(is_missing), [end - begin]]))
     pieces = [
         piece
         for low, high in zip(stops[:-1] + 1, stops[1:], strict=True)
-        for piece in _split_at_leaps(low, high, broken)
+        for piece in _split_at_time_gaps(low, high, gap_after)
     ]
     settles_at = int(np.searchsorted(time, step.start + step.settle, side="right"))
     piece_start, piece_stop = max(pieces, key=lambda piece: piece[1] - max(piece[0], settles_at))
     settled = np.arange(piece_start, piece_stop) >= settles_at
-    if settled.sum() < FEWEST:
+    if settled.sum() < FEWEST_IN_A_ROW:
         return "too few samples in a row"
     noise_cutoff = step.parameters.get("cutoff_Hz")
     noise_cutoff = float(noise_cutoff) if isinstance(noise_cutoff, int | float) and noise_cutoff > 0 else math.inf
@@ -125,14 +127,14 @@ def _record(
     if not columns[0].std() > 0.0:
         return "the reference does not move"
     seed = step.parameters.get("seed", f"{run_path} {step.start:g}")
-    level = float(step.parameters[experiment.offset])
+    level = float(step.parameters[experiment.level_key])
     return NoiseRecord(level, seed, interval, noise_cutoff, *columns)
 
 
-def _split_at_leaps(low: int, high: int, broken: npt.NDArray[np.intp]) -> list[tuple[int, int]]:
-    """Split the samples from `low` to before `high` where time stamps leap; return start and stop of each piece.
+def _split_at_time_gaps(low: int, high: int, gap_after: npt.NDArray[np.intp]) -> list[tuple[int, int]]:
+    """Split the samples from `low` to before `high` at gaps of the time stamps; return start and stop of each piece.
 
-    `broken` are the indices of the samples after which the time stamps leap.
+    `gap_after` has the indices of the samples after which there is a gap.
     """
-    inside = [int(index) + 1 for index in broken if low <= index < high - 1]
+    inside = [int(index) + 1 for index in gap_after if low <= index < high - 1]
     return list(zip([low, *inside], [*inside, high], strict=True))

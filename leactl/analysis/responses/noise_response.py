@@ -25,7 +25,7 @@ NOISE_RESULTS = {
     "coherent_band_low": "Hz",
     "coherent_band_high": "Hz",
 }
-LAGS = 400  # of the window to either side, the paper's
+WINDOW_LAGS = 400  # of the window to either side, the paper's
 LEAST_COHERENCE = 0.6  # of a known response (Tischler & Remple, section 2.2)
 SAMPLING_SHOWS_ABOVE = 0.1  # of the record's rate; above it, holding and sampling change the response
 MOST_POINTS = 80  # points of a level in a plot
@@ -51,7 +51,7 @@ def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
     notes += every_record.notes
     interval = float(np.median([record.interval for record in records]))
     highest = min(min(record.cutoff for record in records), 0.5 / interval)
-    method = BlackmanTukey(interval, LAGS, highest)
+    method = BlackmanTukey(interval, WINDOW_LAGS, highest)
     levels = spectra_by_level(records, method)
     counts = {level: len(trials) for level, trials in levels.items()}
     if len(set(counts.values())) > 1:

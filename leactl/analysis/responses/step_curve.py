@@ -13,9 +13,9 @@ import numpy as np
 from leactl.analysis.responses.step_trials import StepTrial
 from leactl.analysis.statistics.regression import Array
 
-LOW, HIGH = 0.1, 0.9  # of the steady value, between which the rise time counts
+RISE_START, RISE_END = 0.1, 0.9  # of the steady value, between which the rise time counts
 MOST_BEND = 0.5  # second difference over the rise between two bins; above it, no cubic is laid through them
-MOST_UNEVEN_INTERVAL = 0.01  # of an interval, by which intervals may differ
+MOST_UNEVEN_INTERVAL = 0.01  # of the median interval, by which one may differ from it
 
 
 class MeanStepResponse(NamedTuple):
@@ -97,11 +97,11 @@ def _exponential_crossing(curve: MeanStepResponse, index: int, level: float) -> 
 
     None where three even samples from below 90 % on are missing, or where the response does not slow down.
     """
-    first = index - 1 if curve.value[index - 1] > LOW else index
+    first = index - 1 if curve.value[index - 1] > RISE_START else index
     time, values = curve.time[first : first + 3], curve.value[first : first + 3]
     if (
         len(values) < 3
-        or values[0] >= HIGH
+        or values[0] >= RISE_END
         or not np.allclose(np.diff(time), curve.interval, rtol=MOST_UNEVEN_INTERVAL)
     ):
         return None

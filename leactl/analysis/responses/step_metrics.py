@@ -13,8 +13,8 @@ import numpy as np
 
 from leactl.analysis.estimate import NAN
 from leactl.analysis.responses.step_curve import (
-    HIGH,
-    LOW,
+    RISE_END,
+    RISE_START,
     MeanStepResponse,
     crossing_with_limit,
     mean_step_response,
@@ -44,12 +44,20 @@ def rise_time(trials: Sequence[StepTrial]) -> TrialFigure:
     """Return the time from 10 % to 90 % of the steady value [s]."""
     curve = mean_step_response(trials)
     half = int(np.argmax(curve.value >= 0.5))
-    low = int(np.flatnonzero(curve.value[:half] < LOW)[-1]) + 1
-    high = half + int(np.argmax(curve.value[half:] >= HIGH))
-    low_crossing, high_crossing = crossing_with_limit(curve, low, LOW), crossing_with_limit(curve, high, HIGH)
-    at_low, at_high = _rounding_at(curve, low, LOW), _rounding_at(curve, high, HIGH)
+    low = int(np.flatnonzero(curve.value[:half] < RISE_START)[-1]) + 1
+    high = half + int(np.argmax(curve.value[half:] >= RISE_END))
+    low_crossing, high_crossing = (
+        crossing_with_limit(curve, low, RISE_START),
+        crossing_with_limit(curve, high, RISE_END),
+    )
+    at_low, at_high = _rounding_at(curve, low, RISE_START), _rounding_at(curve, high, RISE_END)
     # rounding of the readings at both crossings, then before the jump and in the steady part, which shift both levels
-    roundings = (at_low, at_high, (1 - LOW) * at_low - (1 - HIGH) * at_high, LOW * at_low - HIGH * at_high)
+    roundings = (
+        at_low,
+        at_high,
+        (1 - RISE_START) * at_low - (1 - RISE_END) * at_high,
+        RISE_START * at_low - RISE_END * at_high,
+    )
     return TrialFigure(high_crossing.time - low_crossing.time, (low_crossing.limit, high_crossing.limit), roundings)
 
 
