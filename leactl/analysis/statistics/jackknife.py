@@ -15,14 +15,23 @@ import numpy as np
 from leactl.analysis.estimate import NAN, Estimate
 from leactl.analysis.statistics.intervals import half_width
 
-COVERED_ROUNDING = 4.0  # rounding variance that the scatter already includes, over the variance of a single trial
+SCATTER_ALLOWANCE = 4.0
+"""Rounding variance for which the scatter of the trials accounts, over the variance of a single trial.
+
+Trials that each round by themselves scatter at least by their rounding; a few of them may by chance scatter less. The
+factor was chosen, not derived.
+"""
 
 
 class TrialFigure(NamedTuple):
-    """A figure of one level, and the limits of its uniform errors that more trials do not make smaller."""
+    """A figure of one level, and the limits of its uniform errors that more trials do not make smaller.
+
+    Element k of `shared` has to be the limit of the same error in every level: `mean_of_levels` averages it over the
+    levels and does not reduce it. Each element of `per_level` is an error of its own.
+    """
 
     value: float
-    shared: tuple[float, ...] = ()  # the same in every level, such as the position of the samples on the response
+    shared: tuple[float, ...] = ()  # alike in every level, such as the position of the samples on the response
     per_level: tuple[float, ...] = ()  # of this level alone, such as the rounding of its readings
 
 
@@ -46,7 +55,8 @@ def over_trials(trials: int, figure: Callable[[Sequence[int]], TrialFigure]) -> 
     leave_one_out = np.array([figure([k for k in range(trials) if k != left_out]).value for left_out in range(trials)])
     scatter = math.sqrt((trials - 1) / trials * float(np.sum((leave_one_out - leave_one_out.mean()) ** 2)))
     rounding_square = sum(limit**2 for limit in of_all_trials.per_level)
-    covered = COVERED_ROUNDING * 3.0 * trials * scatter**2
+    # the variance of a uniform error is a third of its limit squared, that of one trial `trials` times the scatter's
+    covered = SCATTER_ALLOWANCE * 3.0 * trials * scatter**2
     remaining = math.sqrt(max(1.0 - covered / rounding_square, 0.0)) if rounding_square else 0.0
     return LevelValue(
         of_all_trials._replace(per_level=tuple(remaining * limit for limit in of_all_trials.per_level)),
