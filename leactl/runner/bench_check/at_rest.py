@@ -137,6 +137,6 @@ def _channel(channel: Channel, request: Request) -> Statement:
             StatementVerdict.UNDECIDED,
             f"the same in {len(values)} readings: frozen, or coarser than its noise",
         )
-    elif missing_share > MISSING:
+    elif missing_share > MOST_MISSING_SHARE:
         verdict, why = StatementVerdict.UNDECIDED, f"{missing_share:.1%} of its readings are missing"
     return Statement(channel.device, about, verdict, mean, std, channel.units, float(low), float(high), why)
