@@ -363,7 +363,7 @@ def refuse_unknown(analysis: Experiment, options: dict[str, Any]) -> None:
     for name in options:
         if name not in accepted:
             listing = ", ".join(accepted) or "nothing"
-            raise InputError(f"{analysis.name} cannot be told {name}; it can be told {listing} (by --set NAME=NUMBER)")
+            raise InputError(f"{analysis.name} has no option {name}; it has {listing} (--set NAME=NUMBER)")
 
 
 def options_of(analysis: Experiment) -> list[str]:

@@ -151,7 +151,7 @@ def _points(
         elif math.isfinite((value := done.value()).value):
             points.append(Point(path, created, value))
         else:
-            left_out.append(f"{path}: does not tell {result}")
+            left_out.append(f"{path}: does not determine {result}")
     if not points:
         raise InputError(left_out)
     return points, left_out

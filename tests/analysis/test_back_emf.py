@@ -50,7 +50,7 @@ def test_the_scale_of_the_converter_is_in_the_uncertainty_and_not_between_pairs(
     assert scaled.find("back_emf_constant").std == pytest.approx(1e-3 * KB, rel=0.01)
     assert plain.find("back_emf_constant").std < 1e-4 * KB
     assert scaled.find("unevenness").std == pytest.approx(plain.find("unevenness").std, rel=0.5)
-    assert noted(plain, "tells none of its scale")
+    assert noted(plain, "the uncertainty of its scale is not known")
 
 
 @pytest.mark.parametrize("speeds", [(SPEED,), (-SPEED,), (SPEED, -SPEED), (3.0, 15.0)])

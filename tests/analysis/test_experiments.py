@@ -96,9 +96,7 @@ def test_no_run_and_options_that_an_experiment_lacks_are_refused(bench):
     with pytest.raises(InputError, match="no run to analyse"):
         analyze_runs([])
     path = bench.torque()
-    with pytest.raises(
-        InputError, match="torque-constant cannot be told torque_constant; it can be told torque_gain_std, c"
-    ):
+    with pytest.raises(InputError, match="torque-constant has no option torque_constant; it has torque_gain_std, c"):
         analyze_runs([path], torque_constant=0.5)
     assert analyze_runs([path], torque_constant=None).results
 

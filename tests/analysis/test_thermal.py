@@ -112,7 +112,7 @@ def test_the_command_prints_the_table_beside_the_paper_in_80_columns(whole):
     assert refused.returncode == 2
     assert refused.stderr == "leactl: --set camera_gain_std=lots: name=number was expected\n"
     refused = leactl("analyze", str(whole[0]), "--set", "camera=1")
-    assert "thermal cannot be told camera; it can be told camera_offset_std" in refused.stderr
+    assert "thermal has no option camera; it has camera_offset_std" in refused.stderr
 
 
 def test_a_plant_whose_winding_has_no_way_past_the_housing_is_not_given_one(tmp_path):

@@ -60,7 +60,7 @@ def test_what_is_missing_of_sides_and_signs_is_said(bench):
     result = analyzed(analyze, pulsed(bench, signs=(1,), sides=("",)))
     assert result.find("loss_at_peak").value == pytest.approx(0.1, abs=0.005)
     assert any("pulses of one sign only" in note for note in result.notes)
-    assert any("sticking friction is not told apart" in note for note in result.notes)
+    assert any("sticking friction is not separated" in note for note in result.notes)
     with pytest.raises(InputError, match="sticking_torque"):
         result.find("sticking_torque")
 

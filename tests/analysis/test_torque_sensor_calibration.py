@@ -88,7 +88,7 @@ def test_a_swapped_sign_and_a_swinging_weight_are_named(bench):
     [
         ({"masses": (2.8,), "signs": (1,)}, "found 2 torques of weights; 3 or more are needed"),
         ({"gain": 0.0, "scatter": 0.01}, "the readings do not follow the weights"),
-        ({"arm_m": 0.0}, "no hold tells the arm of its weights"),
+        ({"arm_m": 0.0}, "no hold states the arm of its weights"),
     ],
 )
 def test_a_run_that_cannot_answer_says_why_in_one_line(bench, how, words):

@@ -79,7 +79,7 @@ def test_what_the_inertia_gives_while_the_speed_falls_is_no_torque_of_the_curren
 
 def test_the_error_of_the_sensor_s_zero_is_in_the_interval(bench):
     told, silent = (analyzed(analyze, driven(bench, before_s=before, noise={"torque": 0.1})) for before in (2.0, 0.0))
-    assert any("how well its zero is known is not told" in note for note in silent.notes)
+    assert any("the uncertainty of its zero is not known" in note for note in silent.notes)
     assert told.find("highest_torque").std > 0.02 > silent.find("highest_torque").std
 
 

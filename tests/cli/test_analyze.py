@@ -94,7 +94,7 @@ def test_a_torque_constant_of_ones_own(bench):
         (["torque.h5", "./torque.h5"], "torque.h5: the same run as torque.h5; give each run once"),
         (
             ["torque.h5", "--torque-constant", "1"],
-            "torque-constant cannot be told torque_constant; it can be told torque_gain_std",
+            "torque-constant has no option torque_constant; it has torque_gain_std",
         ),
         (["friction.h5", "--torque-constant", "0"], "torque constant 0: a positive number in N*m/A was expected"),
         (

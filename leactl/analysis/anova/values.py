@@ -123,7 +123,7 @@ def values_of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) 
     files = [path for path in paths if path.suffix != ".json"]
     given_options = listed(name for name, value in options.items() if value is not None)
     if answers and given_options:
-        raise InputError(f"{answers[0]}: an answer is analysed already and cannot be told {given_options}; give runs")
+        raise InputError(f"{answers[0]}: an answer is analysed already and takes no {given_options}; give runs")
     if not paths:
         raise InputError("nothing to compare; give run files, or answers of `leactl analyze --json`")
     trials: list[TrialResults] = []

@@ -245,7 +245,7 @@ def measurement_notes(
     """Return notes on uncertainties, uneven and drifting pairs, offsets, and ripple of the speed."""
     notes = [
         "uncertainties hold the scatter of the waves, the converter's steps and time base"
-        + (f" and {shares.scale:.2g} of its scale" if shares.scale else "; the run tells none of its scale")
+        + (f" and {shares.scale:.2g} of its scale" if shares.scale else "; the uncertainty of its scale is not known")
     ]
     if not complete:
         notes.append("fewer than two pairs: how uneven the others are is not in the uncertainty of the constant")

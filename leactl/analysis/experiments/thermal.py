@@ -223,7 +223,7 @@ def phase_share(model: Mapping[str, Any]) -> Noted[float]:
     """Return the resistance of a phase over that between two leads, by the winding that a model states."""
     winding = model.get("winding")
     if winding not in FRAMES:
-        return Noted(FRAMES["wye"].resistance, ("no model tells the winding; taken as a wye",))
+        return Noted(FRAMES["wye"].resistance, ("no model states the winding; taken as a wye",))
     if winding == "delta":
         note = (
             "the winding is a delta: all its phases are heated, 2/3 of the heat in one; active windings are those of"

@@ -72,7 +72,9 @@ def analyze(
     if both_sides:
         columns["sticking_torque"] = levels.direction.astype(np.float64)
     else:
-        notes.append("all levels were reached from one side or none is said: sticking friction is part of the offset")
+        notes.append(
+            "all levels were reached from one side, or no side is stated: sticking friction is part of the offset"
+        )
     line = fit_lines(columns, torque, levels, error_prefix)
     expected = np.hypot(levels.standard_errors[TORQUE], line.slope("torque_constant") * levels.standard_errors[CURRENT])
     unit = levels.units[TORQUE]

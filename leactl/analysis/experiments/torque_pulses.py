@@ -122,7 +122,7 @@ def analyze(
     if len(np.unique(levels.direction)) == 2:
         columns["sticking_torque"] = levels.direction.astype(np.float64)
     else:
-        notes.append("all levels were reached from one side or none is said: sticking friction is not told apart")
+        notes.append("all levels were reached from one side, or no side is stated: sticking friction is not separated")
     try:
         line = fit_curve(current / peak, peak, torque, columns, levels, error_prefix)
     except NotIdentifiable as fault:  # as where a current is a thousand times its setpoints

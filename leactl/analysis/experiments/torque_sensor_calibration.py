@@ -162,7 +162,7 @@ def reference_of(
             raise InputError(f"{name} {number:g}: zero or more was expected")
     arms = {float(arm) for run in runs for step in run.steps if (arm := step.parameters.get("arm_m")) is not None}
     if not arms or min(arms) <= 0.0:
-        raise NotIdentifiable(f"{paths_of(runs)}: no hold tells the arm of its weights (arm_m)")
+        raise NotIdentifiable(f"{paths_of(runs)}: no hold states the arm of its weights (arm_m)")
     somewhere = gravity is None and gravity_std is None
     defaults = {
         "gravity_std": GRAVITY_WITHIN / math.sqrt(3.0) if somewhere else 0.0,

@@ -222,7 +222,9 @@ def zero_std(runs: Sequence[Run]) -> Noted[float]:
         torque, steps = run.channel(TORQUE), run.steps
         before_first_step = torque.values[(torque.time < steps[0].start) & np.isfinite(torque.values)]
         if len(before_first_step) < FEWEST_AT_REST:
-            notes.append(f"{run.path}: no torque at rest before its first step: how well its zero is known is not told")
+            notes.append(
+                f"{run.path}: no torque at rest before its first step: the uncertainty of its zero is not known"
+            )
             continue
         noise = float(np.median(np.abs(np.diff(before_first_step)))) / (NORMAL_QUARTILE * math.sqrt(2.0))
         stds.append(max(noise, quantisation_step(torque.values) / math.sqrt(12.0)) / math.sqrt(len(before_first_step)))

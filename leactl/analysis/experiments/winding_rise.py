@@ -239,7 +239,7 @@ def coefficient_of(run: Run) -> CopperCoefficient:
     model = model_of(run)
     coefficient = positive_number(model.get("resistance_coefficient"))
     if math.isnan(coefficient):
-        raise NotIdentifiable(f"{run.path}: its model has no resistance_coefficient; a rise cannot be told without")
+        raise NotIdentifiable(f"{run.path}: its model has no resistance_coefficient; a rise is not known without one")
     tolerances = model.get("tolerances")
     width = tolerances.get("resistance_coefficient", 0.0) if isinstance(tolerances, dict) else 0.0
     reference = model.get("reference_temperature", 25.0)

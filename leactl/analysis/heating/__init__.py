@@ -1,1 +1,1 @@
-"""Parts of the analysis of a heated winding: what a record holds, the network behind it, what that is worth."""
+"""Parts of the analysis of a heated winding: records, the fit of the network, its uncertainty."""

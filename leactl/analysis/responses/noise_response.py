@@ -77,8 +77,7 @@ def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
     if not bandwidth.high <= SAMPLING_SHOWS_ABOVE / interval:
         notes.append(
             f"above {SAMPLING_SHOWS_ABOVE / interval:g} Hz, a tenth of the record's rate, the response is that of a "
-            "sampled loop to references that are held; what that takes from the gain or adds to it is within the "
-            "bandwidth's limits"
+            "sampled loop to references that are held; its effect on the gain is within the bandwidth's limits"
         )
     units = runs[0].channel(loop.response, role="test").units
     plots = plots_of(responses, known, units)

@@ -220,7 +220,7 @@ def drift_notes(levels: Sequence[Sequence[StepTrial]]) -> list[str]:
         if drift > SETTLING_BAND:
             notes.append(
                 f"at {trials[0]} what is read before the jump moves by {drift:.1%} of the step over the trials: the"
-                " channel drifts, and overshoot and settling are off by what it drifts meanwhile"
+                " channel drifts, and overshoot and settling time contain the drift"
             )
     return notes
 

@@ -60,7 +60,7 @@ def corner_speed(runs: Sequence[Run], holds: SpeedHolds, error_prefix: str) -> N
     low, high = sorted((fastest_held, float(speed[limited].min())))
     neighbours = Estimate(NAME, NAN, NAN, low, high, UNIT)
     if int(limited.sum()) < FEWEST_LIMITED:
-        note = f"{limited.sum()} holds beyond the corner; {FEWEST_LIMITED} or more tell it closer than its neighbours"
+        note = f"{limited.sum()} holds beyond the corner; {FEWEST_LIMITED} or more determine it better"
         return Noted(neighbours, (note,))
     reactance = reactance_of(runs)
     try:

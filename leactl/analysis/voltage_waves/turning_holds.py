@@ -186,7 +186,7 @@ def check_connection(waves: Mapping[str, Waves], shaft: ShaftMotion) -> tuple[li
             if name != "ab"
         )
         return (
-            [f"the pairs are not thirds of a wave apart ({phases} from ab): a pair is not what it is taken for"],
+            [f"the pairs are not thirds of a wave apart ({phases} from ab): a pair is mislabelled"],
             math.nan,
             dict(waves),
         )
