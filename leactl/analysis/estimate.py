@@ -83,7 +83,7 @@ class Plot:
     bands: tuple[Band, ...] = ()  # of a map, lowest first, empty ones among them
 
 
-def plotted(count: int, most: int) -> slice:
+def plot_slice(count: int, most: int) -> slice:
     """Return the slice that takes every n-th of `count` points, the smallest n that leaves `most` or fewer."""
     return slice(None, None, max(1, math.ceil(count / most)))
 

@@ -73,7 +73,7 @@ class Experiment:
 
 
 @cache
-def shipped() -> frozenset[str]:
+def shipped_experiments() -> frozenset[str]:
     """Names of the experiments of this package, one of each module in their folder."""
     room = importlib.import_module(EXPERIMENTS_PACKAGE)
     return frozenset(module.name.replace("_", "-") for module in pkgutil.iter_modules(room.__path__))
@@ -81,13 +81,15 @@ def shipped() -> frozenset[str]:
 
 def names() -> list[str]:
     """Names of all experiments, without importing any."""
-    return sorted({*shipped(), *foreign()})
+    return sorted({*shipped_experiments(), *foreign()})
 
 
 @cache
 def foreign() -> dict[str, EntryPoint]:
     """Entry points of other packages by name; a shipped name stays with the shipped experiment."""
-    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in shipped()}
+    return {
+        point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in shipped_experiments()
+    }
 
 
 def load(name: str) -> Experiment:
@@ -98,21 +100,21 @@ def load(name: str) -> Experiment:
     InputError : there is none of this name, or it cannot be imported or used.
     """
     name = name.replace("_", "-")
-    if name in shipped():
-        return declared(name, "", importlib.import_module(f"{EXPERIMENTS_PACKAGE}.{name.replace('-', '_')}"))
+    if name in shipped_experiments():
+        return as_experiment(name, "", importlib.import_module(f"{EXPERIMENTS_PACKAGE}.{name.replace('-', '_')}"))
     point = foreign().get(name)
     if point is None:
         raise InputError(f"analysis '{name}' is not known; known: {', '.join(names())}")
     source = f"{point.dist.name} {point.dist.version}" if point.dist else "unknown distribution"
     try:
-        return declared(name, source, point.load())
+        return as_experiment(name, source, point.load())
     except Exception as error:  # noqa: BLE001 (a foreign plug-in may fail in any way; it must not take leactl with it)
         reason = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
         raise InputError(f"analysis '{name}' of {source} cannot be used: {' '.join(reason.split())}") from None
 
 
-def declared(name: str, source: str, loaded: Any) -> Experiment:
-    """What a module declares.
+def as_experiment(name: str, source: str, loaded: Any) -> Experiment:
+    """Return the experiment that a module, or any object, declares.
 
     Raises
     ------

@@ -102,11 +102,11 @@ class EffectDefinition(BaseModel):
 @cache
 def effect_names() -> tuple[str, ...]:
     """Identifiers of all effects, sorted."""
-    return tuple(sorted({*shipped(), *modules_of_others()}))
+    return tuple(sorted({*shipped_effects(), *modules_of_others()}))
 
 
 @cache
-def shipped() -> tuple[str, ...]:
+def shipped_effects() -> tuple[str, ...]:
     """Identifiers of the effects that leactl brings, sorted."""
     folder = resources.files("leactl.vocabulary") / "effects"
     return tuple(sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml")))
@@ -115,7 +115,7 @@ def shipped() -> tuple[str, ...]:
 @cache
 def modules_of_others() -> dict[str, str]:
     """Modules of effects that other packages bring, by identifier; none takes the place of a shipped one."""
-    return {point.name: point.module for point in entry_points(group=GROUP) if point.name not in shipped()}
+    return {point.name: point.module for point in entry_points(group=GROUP) if point.name not in shipped_effects()}
 
 
 def definition_file(name: str) -> Traversable:

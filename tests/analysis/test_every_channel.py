@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from leactl.analysis.analyze import analyze_runs
-from leactl.analysis.registry import shipped
+from leactl.analysis.registry import shipped_experiments
 from leactl.errors import InputError
 from leactl.runfile.read.reader import Run
 from tests.analysis.corrupted import CORRUPTIONS, constant, frozen, gappy, rewritten, thousandfold, turned
@@ -79,7 +79,7 @@ def test_every_shipped_protocol_and_experiment_has_a_short_form():
     analyses = {path.name.removesuffix(".yaml"): yaml.safe_load(path.read_text()).get("analysis") for path in protocols}
     analysed = {name: analysis for name, analysis in analyses.items() if analysis}
     assert set(SETTINGS) == set(analysed)
-    assert set(shipped()) == set(analysed.values())
+    assert set(shipped_experiments()) == set(analysed.values())
 
 
 @pytest.mark.long

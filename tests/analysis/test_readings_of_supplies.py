@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from leactl.analysis.estimate import plotted
+from leactl.analysis.estimate import plot_slice
 from leactl.analysis.heating.parameters import noise_of_heat, resolution_of
 from leactl.analysis.heating.record import HeatingRecord, SupplyRecord
 
@@ -51,7 +51,7 @@ def test_a_jump_from_record_to_record_is_no_noise_of_the_heat():
 
 @pytest.mark.parametrize("count", [0, 1, 79, 80, 81, 159, 160, 1000])
 def test_a_plot_has_no_more_points_than_it_may(count):
-    shown = range(count)[plotted(count, 80)]
+    shown = range(count)[plot_slice(count, 80)]
     assert len(shown) <= 80
     assert len(shown) > 80 // 2 or len(shown) == count
     assert list(shown[:1]) == list(range(count)[:1])

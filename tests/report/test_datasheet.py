@@ -192,7 +192,9 @@ def test_an_experiment_is_taken_by_what_its_result_says(tmp_path, monkeypatch):
     (tmp_path / "plugged").mkdir()
     (tmp_path / "plugged" / "shakes.py").write_text(NOVEL)
     monkeypatch.syspath_prepend(tmp_path / "plugged")
-    monkeypatch.setattr(registry, "foreign", lambda: {"shakes": EntryPoint("shakes", "shakes", registry.ENTRY_POINTS)})
+    monkeypatch.setattr(
+        registry, "foreign", lambda: {"shakes": EntryPoint("shakes", "shakes", registry.ENTRY_POINT_GROUP)}
+    )
     path = Bench(tmp_path).torque(protocol="name: x\nanalysis: shakes\n")
     check_options({"gain": 2.0})
     root = tree(of(path, options={"gain": 2.0}), tmp_path / "out.html")

@@ -94,7 +94,7 @@ def with_drift(points: OperatingPoints, runs: Sequence[Run], calibration: PowerC
             fit = least_squares(design, (torque - by_current)[complete], design, str(run.path))
         except NotIdentifiable:  # a grid of one level leaves nothing to compare
             continue
-        drift, std = fit.combined(np.eye(design.shape[1])[0])
+        drift, std = fit.combination(np.eye(design.shape[1])[0])
         if abs(drift) > LEAST_STANDARD_ERRORS * std and abs(drift) > LEAST_NOTED_DRIFT * float(
             np.max(np.abs(torque[complete]))
         ):
@@ -104,7 +104,7 @@ def with_drift(points: OperatingPoints, runs: Sequence[Run], calibration: PowerC
             )
             # the root mean square of a straight drift from zero
             zero_std[number] = np.hypot(zero_std[number], abs(drift) / np.sqrt(3.0))
-        gain, std = fit.combined(np.eye(design.shape[1])[1])
+        gain, std = fit.combination(np.eye(design.shape[1])[1])
         if abs(gain) > MOST_GAIN_DIFFERENCE and abs(gain) > LEAST_STANDARD_ERRORS * std:
             notes.append(
                 f"{run.path}: torque is {gain:+.1%} off the torque of the currents by the torque constant;"

@@ -107,7 +107,7 @@ def analyze(
         widened = widened_by_scatter(line, series)
         line = widened.value
         notes += widened.notes
-    kb = scaled(line, FRAMES[winding.value].back_emf, "back_emf_constant", UNITS)
+    kb = scaled_estimate(line, FRAMES[winding.value].back_emf, "back_emf_constant", UNITS)
     results = [kb, line]
     results += [
         constant_of(f"line_to_line_constant_{name}", UNITS, constants, shares.of_one_pair)
@@ -176,7 +176,7 @@ def winding_of(run: Run) -> Noted[WindingType]:
     return Noted(winding)
 
 
-def scaled(estimate: Estimate, factor: float, name: str, units: str) -> Estimate:
+def scaled_estimate(estimate: Estimate, factor: float, name: str, units: str) -> Estimate:
     """Return an estimate multiplied by an exact number."""
     value, std, low, high = (factor * number for number in (estimate.value, estimate.std, estimate.low, estimate.high))
     return Estimate(name, value, std, low, high, units)

@@ -260,7 +260,7 @@ def highest_estimates(
         return [Estimate(f"highest_{name}", float(np.max(means)), NAN, NAN, NAN, units), best_speed]
     fit = widened_by(fit, partial_f_test(speeds, torque[same_kind], indicator_columns(levels.run_index[same_kind])))
     weights = (np.unique(group[same_kind]) == group[at_best_speed][0]) * float(factor[at_best_speed].mean())
-    value, scattered = fit.combined(weights)
+    value, scattered = fit.combination(weights)
     shared_std = value * math.hypot(shared.gain, shared.zero / float(torque[at_best_speed].mean()))
     half = math.hypot(t_quantile(fit.dof) * scattered, t_quantile(math.inf) * shared_std)
     std = math.hypot(scattered, shared_std)

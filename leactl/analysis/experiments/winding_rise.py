@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, plotted
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, plot_slice
 from leactl.analysis.heating.record import AMBIENT, refuse_clipped, refuse_not_celsius
 from leactl.analysis.quality.calibration_uncertainty import calibration_notes, gain_std
 from leactl.analysis.quality.wrong_units import unit_notes
@@ -122,7 +122,7 @@ def analyze(
     )
     notes += [*ambient.notes, *late_change.notes, *calibration_notes(gains, "the resistances and not on the rise")]
     notes[:0] = unit_notes(runs, results[:1], ["line_voltage"], ["line_current"])
-    shown = plotted(len(heating.time), MOST_POINTS)
+    shown = plot_slice(len(heating.time), MOST_POINTS)
     kelvin = (heating.resistance[shown] / cold.value - 1.0) * per_ratio
     rise = Series(str(run.path), tuple(heating.time[shown].tolist()), tuple(kelvin.tolist()))
     return Result("winding-rise", (str(run.path),), results, tuple(notes), (Plot("time [s]", "rise [K]", (rise,), ()),))
@@ -173,7 +173,7 @@ def cold_resistance(heating: HeatedResistance, error_prefix: str) -> MeasuredRes
         )
     design = np.vander(heating.time[early], 3, increasing=True)
     fit = least_squares(design, heating.resistance[early], design, error_prefix)
-    value, std = fit.combined(np.array([1.0, 0.0, 0.0]))
+    value, std = fit.combination(np.array([1.0, 0.0, 0.0]))
     limit = remaining_rounding(
         heating, heating.resistance[early] - fit.residuals, np.linalg.pinv(design)[0], fit.residuals
     )

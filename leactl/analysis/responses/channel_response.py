@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from leactl.analysis.estimate import Estimate, Grid, Noted, Plot, Series, listed, plotted
+from leactl.analysis.estimate import Estimate, Grid, Noted, Plot, Series, listed, plot_slice
 from leactl.analysis.responses.blackman_tukey import POINTS_PER_RESOLVED, BlackmanTukey, Mask, Response
 from leactl.analysis.responses.noise_records import MOST_UNEVEN_INTERVAL
 from leactl.analysis.responses.noise_response import LEAST_COHERENCE, MOST_POINTS
@@ -129,7 +129,7 @@ def gain_and_phase_estimates(title: str, response: Response, units: str) -> list
 
 def response_plots(title: str, response: Response, units: str) -> list[Plot]:
     """Return plots of gain, phase and coherence over frequency."""
-    shown = plotted(len(response.frequency), MOST_POINTS)
+    shown = plot_slice(len(response.frequency), MOST_POINTS)
     x = tuple(response.frequency[shown].tolist())
     columns = {f"gain [{units}]": response.gain, "phase [rad]": response.phase}
     columns["coherence [1]"] = response.coherence

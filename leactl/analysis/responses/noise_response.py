@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, joined, plotted
+from leactl.analysis.estimate import NAN, Estimate, Noted, Plot, Result, Series, joined, plot_slice
 from leactl.analysis.responses.bandwidth import HALF_POWER, bandwidth_of
 from leactl.analysis.responses.blackman_tukey import BlackmanTukey, Mask, Response, Spectra, sum_of_spectra
 from leactl.analysis.responses.noise_records import NoiseExperiment, NoiseRecord, records_of
@@ -126,7 +126,7 @@ def plots_of(responses: Mapping[float, Response], known: Mapping[float, Mask], u
     """Return plots of gain, phase and coherence over frequency; gain and phase are drawn where they are known."""
     gains, limits, phases, coherences = [], [], [], []
     for level, response in responses.items():
-        shown_points = plotted(len(response.frequency), MOST_POINTS)
+        shown_points = plot_slice(len(response.frequency), MOST_POINTS)
         label, x = f"{level:.3g} {units}", tuple(response.frequency[shown_points].tolist())
         shown = np.where(known[level], response.gain, NAN)
         gains.append(Series(label, x, _tuple(20.0 * np.log10(shown)[shown_points])))

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from leactl.analysis.estimate import Plot, Result, Series, joined, plotted
+from leactl.analysis.estimate import Plot, Result, Series, joined, plot_slice
 from leactl.analysis.quality.wrong_units import unit_notes
 from leactl.analysis.responses.step_curve import mean_step_response
 from leactl.analysis.responses.step_metrics import BIN_GROWTH, overshoot, rise_time, settling_time
@@ -95,7 +95,7 @@ def _plot(levels: Sequence[Sequence[StepTrial]], units: str, until: float) -> Pl
     for trials in levels:
         curve = mean_step_response(trials, BIN_GROWTH)
         shown = np.flatnonzero(curve.time <= until)
-        shown = shown[plotted(len(shown), MOST_POINTS)]
+        shown = shown[plot_slice(len(shown), MOST_POINTS)]
         time, value = (1e3 * curve.time[shown]).tolist(), curve.value[shown].tolist()
         points.append(Series(f"{trials[0]} {units}", tuple(time), tuple(value)))
     ends = (0.0, max(series.x[-1] for series in points))

@@ -129,7 +129,7 @@ def fit_corner(holds: SpeedHolds, reactance: float, error_prefix: str) -> tuple[
     gradient = np.zeros(len(theta))
     gradient[0] = theta[0] / slope
     gradient[1:3] = -holds.setpoint * (value + hot_drop) / slope
-    return value, fit.combined(gradient)[1], fit.dof
+    return value, fit.combination(gradient)[1], fit.dof
 
 
 def speed_groups(speed: Array) -> npt.NDArray[np.int64]:

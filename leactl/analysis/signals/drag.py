@@ -101,4 +101,4 @@ def weights_at(line: LineFit, speed: float) -> Array:
 
 def drag_at(fit: LeastSquaresFit, line: LineFit, speeds: Array) -> Array:
     """Return the drag torque at speeds [rad/s], shape (speeds,), in N*m."""
-    return np.array([fit.combined(weights_at(line, float(speed)))[0] for speed in speeds])
+    return np.array([fit.combination(weights_at(line, float(speed)))[0] for speed in speeds])

@@ -46,7 +46,7 @@ class LeastSquaresFit:
         """The response to which the projected design would have fitted with the same residuals, shape (points,)."""
         return self.projected @ self.coefficients + self.residuals
 
-    def combined(self, weights: Array) -> tuple[float, float]:
+    def combination(self, weights: Array) -> tuple[float, float]:
         """Return value and standard error of a linear combination of the coefficients."""
         variance = self.variance * float(weights @ self.unscaled_covariance @ weights)
         return float(weights @ self.coefficients), math.sqrt(max(variance, 0.0))
@@ -57,7 +57,7 @@ class LeastSquaresFit:
         `relative_std` is the relative standard uncertainty of a factor on the value that the residuals do not show; it
         adds in squares, at the effective degrees of freedom of Welch and Satterthwaite (GUM, G.4.1).
         """
-        value, fit_std = self.combined(weights)
+        value, fit_std = self.combination(weights)
         std = math.hypot(fit_std, relative_std * value)
         dof = self.dof * (std / fit_std) ** 4 if fit_std > 1e-9 * std else math.inf
         half_width = t_quantile(dof) * std
