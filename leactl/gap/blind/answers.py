@@ -29,7 +29,7 @@ def case_names(cases: Path) -> list[str]:
 def answer_all(cases: Path, answers: Path, workers: Workers, progress: Progress) -> list[str]:
     """Diagnose the cases that have no answer yet; return the names of all.
 
-    The last run of every kind is held out, as `leactl gap diagnose` does where nobody names one.
+    The last run of every kind is held out, the default of `leactl gap diagnose`.
 
     Raises
     ------

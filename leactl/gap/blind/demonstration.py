@@ -44,7 +44,7 @@ class Demonstration:
 
 
 def named_causes(answer: DiagnosisResult) -> list[Cause]:
-    """Causes at even odds or better."""
+    """Return the causes at even odds or better."""
     return [cause for cause in answer.causes if cause.probability >= NAMED_PROBABILITY]
 
 
@@ -53,7 +53,7 @@ def demonstrate(cases: Path, out: Path, open_key: OpenKey, progress: Progress) -
 
     Parameters
     ----------
-    out : file of the answer; it stands before the key is opened.
+    out : file of the answer, which is written before the key is opened.
     open_key : reads and checks the key.
 
     Raises

@@ -1,4 +1,4 @@
-"""Mark one answer against the truth: what was right, what was missed, and by how much."""
+"""Mark one answer against the truth."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -33,11 +33,11 @@ class Mark:
     truth: Truth
     verdict: str
     causes: tuple[tuple[str, float], ...]  # effect and probability, as in the answer
-    reported: tuple[str, ...]  # first cause with what it cannot be told from
-    moved_right: bool | None  # whether `where` begins with what the effects move most; None where they move nothing
-    left_right: bool | None  # the same of what recalibration leaves of that
-    closed: float | None  # on the channel that carries the gap
-    oracle_closed: float | None
+    reported: tuple[str, ...]  # first cause, and the causes that it cannot be told from
+    moved_right: bool | None  # whether `where` begins with the channel that the effects move most; None if none moves
+    left_right: bool | None  # the same for the channel with the largest gap after recalibration
+    closed: float | None  # closed share of the gap in that channel
+    oracle_closed: float | None  # the same of a diagnosis that knows the effects
     departures: tuple[Departure, ...]
     effect_closes: bool | None = None  # whether the effects narrow the held-out gap; None where none is named
     calibration_closes: bool | None = None  # the same of recalibration alone; None where nothing is recalibrated
@@ -95,7 +95,7 @@ class Mark:
 
 
 def mark(name: str, truth: Truth, answer: Document, measured: Document) -> Mark:
-    """Compare one answer with the truth and with what the key made measurable."""
+    """Compare one answer with the truth and with the measurements made with the key."""
     causes = tuple((cause["effect"], float(cause["probability"])) for cause in answer["causes"])
     first_cause: Sequence[Document] = answer["causes"][:1]
     reported = tuple(n for cause in first_cause for n in (cause["effect"], *cause["indistinguishable_from"]))

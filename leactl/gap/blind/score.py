@@ -1,4 +1,4 @@
-"""Marks made into figures: shares with their intervals, the calibration of probabilities, and what was missed."""
+"""Compute figures from marks: shares with intervals, the calibration of probabilities, and wrong answers."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -95,7 +95,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Score:
-    """Everything that the report shows."""
+    """All figures of the report."""
 
     cases: int
     shares: tuple[Share, ...]

@@ -1,8 +1,8 @@
-"""What the key makes known of a case: where its gap truly lies, and what a diagnosis that was told the effect closes.
+"""Measure with the key of a case where its gap lies, and how much of it a diagnosis closes that knows the effects.
 
-The bench with its true parameters is replayed through the held-out runs with the true effects and without them. How
-far apart the two are in a channel, in multiples of the floor, is what the effects move there; how far the former is
-from the nominal model as calibrated alone is what recalibration leaves of it.
+The bench with its true parameters is replayed through the held-out runs with the true effects and without them. The
+distance of the two replays in a channel, in floors, is the effects' move. The distance of the replay with effects from
+that of the nominal model, calibrated without effects, is the gap after recalibration.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,10 +43,11 @@ class Truth:
     strength: str | None
     parameters: Mapping[str, Mapping[str, float]]
     base: Mapping[str, float]  # true parameters under the names of a model file
-    alike: Mapping[str, Sequence[str]] = field(default_factory=dict)  # effects that no record of this machine can tell
+    # by effect: effects that no record of this machine can tell from it
+    alike: Mapping[str, Sequence[str]] = field(default_factory=dict)
     machine: str = BENCH_MACHINE
     simulator: str = BENCH_MACHINE
-    ratios_to: str | None = None  # the parameter that the others are told in, where no run tells it
+    ratios_to: str | None = None  # parameter that no run determines: the others are compared as ratios to it
 
     @property
     def guises(self) -> set[str]:
@@ -64,7 +65,7 @@ class Truth:
 
 
 def measure(case: Path, entry: Mapping[str, Any], out: Path) -> None:
-    """Work out what only the key allows, and write it: floors `moved` by channel, `oracle` of shrinkage."""
+    """Measure a case with its key and write `moved`, moves by channel, and `oracle`, the shrinkage by known effects."""
     truth, read = Truth.of(entry), read_case(runs_of(case), [], case / MODEL_FILE)
     truths: dict[str, Any] = {"moved": [], "oracle": []}
     if truth.effects:
@@ -76,13 +77,13 @@ def measure(case: Path, entry: Mapping[str, Any], out: Path) -> None:
 
 @dataclass(frozen=True)
 class Moved:
-    """What the true effects do to one channel, in floors."""
+    """Distances of the true model with its effects in one channel, in floors."""
 
     quantity: str
     role: str
     mechanical: str
-    by_effects: float  # with them against without them
-    after_calibration: float  # with them against the calibrated nominal model
+    by_effects: float  # from the true model without effects
+    after_calibration: float  # from the calibrated nominal model
 
 
 def moves_by_effects(case: Case, truth: Truth, tuned: Model) -> list[Moved]:

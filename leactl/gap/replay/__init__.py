@@ -1,4 +1,4 @@
-"""Simulating again: a run's own inputs through a model, from the first sample's state, channel by channel."""
+"""Replay runs: simulate a model with the inputs of a run, from the state at its first sample."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ __all__ = ["Job", "plant_of", "replay", "replay_all"]
 
 
 def replay(record: Record, model: Model) -> Job:
-    """Replay one run through one model; `fast` and `slow` of the answer hold what the channels read.
+    """Replay one run through one model; `fast` and `slow` of the job hold the readings of its channels.
 
     Raises
     ------

@@ -1,6 +1,7 @@
-"""Give of bearings before they slide: no model file contains it, and a locked rotor's torque shows it.
+"""Fit the give of bearings, over which friction builds up before they slide, to the torque of locked runs.
 
-It is below the effect `presliding` and belongs to the bench, so that all models share one value.
+It is smaller than the effect `presliding`. No model file contains it; it belongs to the bench, so that all models of a
+bench share one value.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""From a model file to a bench that can be simulated."""
+"""Build the bench that a model describes, for simulation."""
 
 from leactl.effects import library
 from leactl.effects.plant import Plant, plant_without_effects
@@ -8,7 +8,7 @@ from leactl.vocabulary.effect import effect_definition
 
 
 def plant_of(model: Model) -> Plant:
-    """The bench that a model describes, its effects in their places.
+    """Return the bench that a model describes, with its effects.
 
     Raises
     ------

@@ -123,7 +123,7 @@ def angle_set_point(job: Job) -> Array:
     set_point = np.append(np.repeat(reference[:-1], job.parts), reference[-1])
     for transform in (*job.plant.loop_answer, *job.plant.set_point):
         set_point = transform(set_point, job.step)
-    # a step of the stepper goes from half before an instant to half behind it, a reference changes at one
+    # the stepper's step is centred on an instant, at which a reference changes: it takes the mean of both values
     set_point = np.append(set_point[:1], 0.5 * (set_point[:-1] + set_point[1:]))
     if enabled is not None:
         enabled_steps = np.append(np.repeat(enabled[:-1], job.parts), enabled[-1])
@@ -291,7 +291,7 @@ def constants_of(job: Job) -> dict[str, float]:
 def parted_constants(rotor: Mapping[str, float], job: Job) -> dict[str, float]:
     """Return the constants of a rotor with a coupled part of its inertia, from those of the rigid rotor.
 
-    A model with spring and teeth has one load: on a spring, behind teeth.
+    A model with both a spring and teeth has one load, which is on the spring and behind the teeth.
     """
     spring, gear = job.plant.elastic_load, job.plant.geared_load
     share, friction_share = (

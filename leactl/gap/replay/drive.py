@@ -93,7 +93,7 @@ def reference_between_samples(job: Job) -> Array:
             elapsed_share = (np.arange(parts) + 0.5) / parts
             candidates.append((begins[:, None] + (reference[1:] - begins)[:, None] * elapsed_share).reshape(-1))
     if ("q_axis_current", "test") in clock.unstamped:
-        return held_reference  # the weights of unknown stamps describe a ramp as well
+        return held_reference  # fitted weights of stamps of unknown meaning can represent a ramp
     if len(candidates) == 1 or clock.get("q_axis_current") is None:
         return candidates[-1]
     return min(candidates, key=lambda candidate: misfit(job, candidate))

@@ -145,8 +145,7 @@ class Network:
     def _excess_of_further_body(self, start: Array, kept: Sequence[Array]) -> float:
         """Return the temperature of a further body above the housing's at the start [K].
 
-        By least squares over the run, with a prior: without a run that tells, it is as warm as the housing, within as
-        much as the housing is warmer than the ambient.
+        It is fitted by least squares over the run. The prior is zero; its width is the housing's rise above ambient.
         """
         nodes = np.column_stack([FURTHER_BODY, NODES_FROM_START])
         responses = np.empty((self.count, 2, 3))  # of winding and housing to the body, the winding and the housing
@@ -204,7 +203,7 @@ class Network:
         if line is not None and clock.get("line_voltage") is not None:
             cold = 2.0 * (job.plant.model.phase_resistance or 0.0) * line
             fed = winding
-            if clock.fed is not None:  # the phases that carry the current, warmer than the mean as they were measured
+            if clock.fed is not None:  # the phases with current are warmer than the mean by the measured difference
                 fed = winding + clock.fed - clock.values[WINDING]
             job.slow["line_voltage", "test"] = cold * resistance_share(job, fed)
         if job.record.fast is not None:

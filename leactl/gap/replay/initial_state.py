@@ -1,4 +1,4 @@
-"""The measured state from which a replay starts: angle and speed by a straight line through a few samples."""
+"""Measure the state from which a replay starts: angle and speed by a straight line through a few samples."""
 
 import numpy as np
 import numpy.typing as npt
@@ -10,12 +10,12 @@ HALF_WINDOW_S = 4e-3  # s on either side of a start: the speed hardly changes, a
 
 
 def half_window(job: Job) -> int:
-    """Samples to either side of a start."""
+    """Return the number of samples on either side of a start."""
     return max(1, round(HALF_WINDOW_S / job.clock.interval))
 
 
 def starting_motion(job: Job, at: npt.NDArray[np.intp]) -> tuple[Array, Array]:
-    """Angle [rad] and speed [rad/s] at some samples, the encoder's error taken off."""
+    """Return angle [rad] and speed [rad/s] at some samples, without the encoder's error."""
     clock, half = job.clock, half_window(job)
     offsets = np.arange(-half, half + 1)
     around = np.clip(at[:, None] + offsets, 0, len(clock.time) - 1)

@@ -64,7 +64,7 @@ class Lanes:
     """Stretches of runs with the constants of their benches; each array has one value a lane, inputs one a step too."""
 
     step: float  # s
-    plants: Sequence[tuple[Plant, slice]]  # lanes of one bench stand together
+    plants: Sequence[tuple[Plant, slice]]  # lanes of one bench are adjacent
     drive: Array  # N*m, (steps, lanes)
     load_drive: Array | None  # N*m, (steps, lanes)
     friction_share: Array | None  # factor, (steps, lanes)
@@ -77,8 +77,8 @@ class Lanes:
     load_friction: Array
     stiffness: Array  # N*m/rad; zero where nothing is on the shaft
     damping_ratio: Array  # of critical, of the shaft
-    gravity: Array  # N*m, of a pendulum or arm held out level
-    hanging: Array  # rad, at which it hangs straight down
+    gravity: Array  # N*m, torque of a level pendulum or arm
+    hanging: Array  # rad, angle of a pendulum or arm that hangs straight down
     servo: Servo | None = None
     tracking: Tracking | None = None
 

@@ -283,7 +283,7 @@ class Walk:
     def of(cls, run: Run, share: float, bench: BenchModel) -> Self:
         """Return the walk through a run of which at most `share` rows are read."""
         name = leading_stream(run)
-        assert name is not None  # a run without a drive is not too long for anything
+        assert name is not None  # only a run with a drive is read in stretches
         interval = bridging_interval(run.values(name, "time", 0, min(run.rows[name], MOST_ROWS)))
         looked_at = max(min(int(share / rows_per_sample(interval, bench)), run.rows[name]), 2)
         count = min(MOST_STRETCHES, max(looked_at // FEWEST_STRETCH_ROWS, 2))
@@ -378,7 +378,7 @@ class Walk:
         duration = float(self.values("time", self.rows - 1, self.rows)[0]) - self.begin
         stretch_duration, share = self.interval * self.length, 100.0 * len(stretches) * self.length / self.rows
         unrecorded = duration - self.interval * (self.rows - 1)
-        # stamps rounded to a few digits put the usual interval off by a share: that is no pause
+        # rounded stamps make the usual interval wrong by a share of itself, which is no pause
         paused = (
             f"; its clock jumps or it pauses: {unrecorded:.4g} s of it have no rows"
             if unrecorded > duration / 2

@@ -22,7 +22,8 @@ def write_readings(job: Job) -> None:
     clock = job.clock
     steps = (len(clock.time) - 1) * job.parts
     if job.current is not None and job.current_mean is not None:
-        job.current, job.current_mean = job.current[: steps + 1], job.current_mean[:steps]  # a servo's ends later
+        # a servo's current may extend beyond the run
+        job.current, job.current_mean = job.current[: steps + 1], job.current_mean[:steps]
     readings: dict[str, Array | None] = {}
     if clock.get("q_axis_current_reference") is not None or job.clock.get("angle_reference") is not None:
         # without the loop's bandwidth the model cannot predict how a current follows its reference
@@ -42,7 +43,7 @@ def write_readings(job: Job) -> None:
             job.fast[name, "test"] = restamped(values, clock.stamping.get(STAMP_EQUATIONS.get(name, "")))
     if volts is not None and clock.get("bus_voltage", "bench") is not None and job.plant.model.bench.bus_voltage:
         job.fast["bus_voltage", "bench"] = bus(job, volts)
-    turned = job.record.mechanical == "coupled"  # by the load; in other set-ups the model does not include it
+    turned = job.record.mechanical == "coupled"  # in other set-ups no replay includes the load actuator
     if turned and job.load_velocity is not None and clock.get("velocity", "load") is not None:
         job.fast["velocity", "load"] = filtered_speed(job, job.load_velocity)
     for values in job.fast.values():
@@ -125,7 +126,7 @@ def angle(job: Job) -> Array:
 
 
 def torque(job: Job) -> Array:
-    """The torque channel: what its sensor makes of the shaft's torque, then its filter."""
+    """Return the torque channel: the sensor's reading of the shaft's torque after the channel's filter."""
     assert job.torque is not None and job.angle is not None
     total = (len(job.clock.time) - 1) * job.parts + 1
     reading: Array = job.torque[:total]

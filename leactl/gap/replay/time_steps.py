@@ -1,4 +1,4 @@
-"""Times by which replays are stepped: multiples of those of a bench or servo, so that those of any size are alike."""
+"""Steps of replays, as multiples of a bench's or servo's times, so that similar machines have similar replays."""
 
 import math
 
@@ -17,9 +17,9 @@ FILTER_MEMORY = 200  # usual intervals of the motion before a start that filters
 
 
 def usual_interval(bench: BenchModel, interval: float) -> float:
-    """Interval [s] at which a log shows what the fastest loop or filter of a bench does.
+    """Return the interval [s] at which a log resolves the fastest loop or filter of a bench.
 
-    interval : between the samples of a run [s], which counts where a model names no loop and no filter.
+    interval : between the samples of a run [s], returned where a model has no loop and no filter.
     """
     named = (bench.current_loop_bandwidth, bench.velocity_filter_bandwidth, bench.torque_filter_bandwidth)
     bandwidths = [bandwidth for bandwidth in named if bandwidth is not None]
@@ -27,21 +27,22 @@ def usual_interval(bench: BenchModel, interval: float) -> float:
 
 
 def samples(intervals: int, bench: BenchModel, interval: float) -> int:
-    """Samples in so many usual intervals, at least one."""
+    """Return the number of samples in so many usual intervals, at least one."""
     return max(1, round(intervals * usual_interval(bench, interval) / interval))
 
 
 def steps_in_sample(bench: BenchModel, interval: float) -> int:
-    """Steps of a replay from one sample to the next."""
+    """Return the number of steps of a replay from one sample to the next."""
     # a rounding error makes no further step
     steps = math.ceil(FEWEST_STEPS * interval / usual_interval(bench, interval) - 1e-6)
     return min(max(FEWEST_STEPS, steps), MOST_STEPS)
 
 
 def servo_times(model: Model, gain: Array, lightest: float, heaviest: float) -> tuple[float, float]:
-    """The shortest and the longest time [s] in which servos of a model answer.
+    """Return the shortest and the longest response time [s] of servos of a model.
 
-    Back-EMF slows the axis down, the gain swings it, and drives it home where back-EMF holds it back.
+    Three times count: that in which back-EMF and damping brake the axis, that of its swing on the gain as a spring, and
+    that of its return to the reference against back-EMF and damping.
     """
     constant, resistance = model.torque_constant or 0.0, model.phase_resistance or math.inf
     rotor, drive = model.rotor_inertia or 0.0, model.drive

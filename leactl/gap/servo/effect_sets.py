@@ -112,7 +112,7 @@ def fit_effect_sets(
     named = frozenset(item.effect for item in standing if item.probability >= NAMED_PROBABILITY)
     sets.fit_missing([named, frozenset()], members)
     final = sets.settle(named)
-    # a step of the simulation takes what it follows as if it had come half a step earlier
+    # a step of the simulation applies its reference half a step too early
     late = final.parameters["reference_delay"] - 0.5 * runs.interval / parts_of(runs, table([final.parameters]))
     return FittedEffectSets(standing, sets[frozenset()], final, standard_errors_of(final, runs), sets, late)
 
@@ -144,7 +144,7 @@ class Sets(dict[Set, FittedServo]):
                 for effect in sorted(starts.keys() - members):
                     base = dict(self[members].parameters)
                     if effect == "load_dependent_friction":
-                        base["coulomb_friction"] *= 0.5  # of which it takes the place
+                        base["coulomb_friction"] *= 0.5  # the effect replaces a part of it
                     jobs += [(members, effect, base | start) for start in starts_beside(starts, effect, size)]
             fitted = fit(self._runs, [start for _, _, start in jobs], held)
             for (fewer, effect, _), result in zip(jobs, fitted, strict=True):
@@ -254,7 +254,7 @@ def likely_effects(
 
 
 def peers_of(sets: Mapping[Set, FittedServo], members: Set, name: str, runs: ServoRuns) -> tuple[str, ...]:
-    """Effects that follow the runs as well in the place of a member, as far as forms can tell."""
+    """Return the effects that fit the runs as well in place of a member, within the error of their forms."""
     others = {
         other: next(iter(other - members)) for other in sets if members - other == {name} and len(other - members) == 1
     }
@@ -266,7 +266,7 @@ def peers_of(sets: Mapping[Set, FittedServo], members: Set, name: str, runs: Ser
 
 
 def parameters_of_model_effects(model: Model) -> Parameters:
-    """Effects that a model has already, as the simulation names them; they stay as they are."""
+    """Return the parameters of a model's effects by their names in the simulation; no fit moves them."""
     parameters: Parameters = {}
     for entry in model.effects:
         values = dict(entry.parameters)

@@ -123,7 +123,7 @@ def simulate(runs: ServoRuns, sets: Mapping[str, Array], stretches: Stretches, s
     begins, ends, profile_index = set_points.at(sets, count)
     profiled, elapsed_shares = begins is not ends, [(part + 0.5) / parts for part in range(parts)]
     samples = np.minimum(stretches.samples, runs.angle.shape[1] - 1)
-    # one row per sample, its lanes next to each other
+    # one row per sample, in which all lanes are adjacent
     reference_changes = by_lane(ends - begins, run, samples, profile_index) if profiled else None
     begins = by_lane(begins, run, samples, profile_index)
     enabled, switched = runs.enabled[run[:, None], samples].T.copy(), bool(np.any(runs.enabled < 1.0))

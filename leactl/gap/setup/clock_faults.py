@@ -24,9 +24,7 @@ DRIFT, DROPPED = "clock_drift", "dropped_samples"
 FAULT_PROBABILITY = 0.99  # probability of a fault of a clock
 FEWEST_STRETCHES = 5  # stretches of a run that show a lateness
 LEAST_DRIFT_STDS = 5.0  # standard errors of a drift, or of an offset
-STAMP_ERROR = (
-    1.0  # that a stamp may be off by where nothing promises it; a drift over the run, an offset and a leap are more
-)
+STAMP_ERROR = 1.0  # samples by which an unspecified stamp may be wrong; drifts, offsets and leaps exceed it
 MOST_SCATTER_SHARE = 0.2  # scatter of stretches about a drift, as a share of its total
 LEAST_MENDED_SHARE = 0.5  # smallest share of a channel's squared error that a corrected clock removes
 MOST_DRIFT_DIFFERENCE = 0.5  # largest difference between the drifts of runs, as a share of a drift
@@ -74,7 +72,7 @@ def find_clock_fault(records: Sequence[Record], model: Model) -> SetUpFault | No
             for record, pair, stretches_of_pair in group
             if (course := leap_course(record, pair, stretches_of_pair))
         }
-        # a wrong clock acts in every run and shows in most; samples may be lost in a single one
+        # a wrong clock acts in every run and shows in most runs; samples may be lost in a single run
         runs_off = drift_courses(group) if 2 * len(leaps) < len(group) and 2 * len(group) >= pair_counts[key] else {}
         if fault := runs_off or leaps:
             courses[key] = fault

@@ -26,7 +26,7 @@ class SetUpFault:
     mend: Callable[[Record], Record]
     parameters: tuple[EffectParameter, ...] = ()
     peers: tuple[str, ...] = ()  # faults that these runs cannot tell from it
-    shrinks: bool = True  # whether mending it has to shrink the gap; else samples are left out, or names exchanged
+    shrinks: bool = True  # whether mending has to shrink the gap; if False, it leaves out samples or exchanges names
     share: float | None = None  # share of the channel's squared error on held-out runs that mending removes
     picture: Picture | None = None  # of that error, before and after
 
@@ -67,7 +67,8 @@ def without_samples(record: Record, key: Key, masks: Mapping[str, Mask]) -> Reco
     if clock is None or mask is None or key not in clock.values:
         return record
     if not mask.all():
-        around = maximum_filter1d(mask, 2 * SMOOTHING_REACH + 1)  # noise at an end of a range is cut on one side
+        # next to the masked samples of a clipped channel noise is cut on one side
+        around = maximum_filter1d(mask, 2 * SMOOTHING_REACH + 1)
         return replace(record, fast=replace(clock, valid=clock.valid | {key: clock.valid[key] & ~around}))
     remaining = {channel: values for channel, values in clock.values.items() if channel != key}
     return replace(record, fast=replace(clock, values=remaining))

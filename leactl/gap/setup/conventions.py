@@ -13,7 +13,8 @@ CURRENT_FACTORS = {
     "sqrt(3)": math.sqrt(3.0),
     "1/sqrt(3)": math.sqrt(1.0 / 3.0),
 }
-"""Of currents, voltages and torque constants: power or amplitude, peak or effective value, line or phase."""
+"""Factors between conventions of currents, voltages and torque constants: power or amplitude, peak or effective value,
+line or phase."""
 UNIT_FACTORS = {
     "1000": 1000.0,
     "1/1000": 1e-3,

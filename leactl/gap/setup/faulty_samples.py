@@ -34,7 +34,7 @@ COMPANIONS = {
     "q_axis_current_reference": "q_axis_current",
     "torque": "q_axis_current",
 }
-"""Channels, and their companions, which do not move without them."""
+"""For each quantity a companion: while the companion moves, a sound channel of the quantity moves, too."""
 
 
 def channels_with_clocks(

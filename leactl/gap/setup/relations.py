@@ -181,7 +181,7 @@ def voltage_factors(clock: Clocked, model: Model, mechanical: str, moved: Smooth
         return
     constant = model.back_emf_constant or model.torque_constant
     current = smooth(current, moved.width)
-    sign = np.tanh(4.0 * current / (float(np.std(current)) or 1.0))  # a drive's dead time acts along it
+    sign = np.tanh(4.0 * current / (float(np.std(current)) or 1.0))  # column of a drive's dead time
     columns = [current, moved.velocity, slope(current, 1.0), sign]
     nominal = {"resistance": model.phase_resistance, "back_emf": constant}
     if mechanical == "locked":

@@ -16,9 +16,9 @@ from leactl.runfile.read.reader import Channel, Run
 
 Array = npt.NDArray[np.float64]
 OUTERMOST_FIRST = ("angle_reference", "velocity_reference", "torque_reference", "q_axis_current_reference")
-"""Setpoints; of a cascade of loops the inner ones are answers of the machine."""
+"""Setpoints, of which the first that a run logs counts: inner setpoints of a cascade are responses of the machine."""
 MEASURED_INPUTS = ("q_axis_current", "q_axis_voltage", "line_current")
-"""Inputs of a run that logs no setpoint, the first that it has."""
+"""Inputs of a run that logs no setpoint, of which the first that it logs counts."""
 FEWEST_SAMPLES = 10  # finite samples of a channel that is compared
 NOISE_STDS = 6.0  # standard deviations of both runs' noise that no sample of a long run exceeds by chance
 MOST_TOLERANCE_SHARE = 0.05  # of a command's range

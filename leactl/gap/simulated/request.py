@@ -1,4 +1,4 @@
-"""A diagnosis as it is asked for: against a model, or against runs of a simulator."""
+"""Diagnose run files against a model, or against runs of a simulator."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,8 +24,8 @@ def requested_diagnosis(
 
     Parameters
     ----------
-    model : the nominal model's file; where simulated runs stand for it, the form and the start of their fit. It may be
-        left out where these carry one.
+    model : file of the nominal model; with simulated runs, the form and the start of the fit to them. It may be omitted
+        if the simulated runs contain their model.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def requested_diagnosis(
 
 
 def carried_model(simulated: Sequence[Path]) -> str:
-    """The text of the model that all simulated runs carry.
+    """Return the text of the model that all simulated runs contain.
 
     Raises
     ------

@@ -45,7 +45,7 @@ class KnownEffect:
 
     @property
     def size(self) -> float:
-        """Length of the vector of coefficients, which of one effect have one unit."""
+        """Length of the vector of coefficients, which have one unit for one effect."""
         return float(np.linalg.norm(self.values))
 
     @property
