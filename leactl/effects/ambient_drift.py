@@ -15,7 +15,7 @@ class AmbientDrift(Effect):
     continuous = False
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The heat that a warmer ambient lets stay."""
+        """Return the heat that a warmer ambient keeps in winding and housing, per kelvin of change in two hours."""
         if signals.housing is None or signals.ambient is None or signals.model.thermal is None:
             return {}
         share = (signals.time / 7200.0) ** form[0]
@@ -26,10 +26,10 @@ class AmbientDrift(Effect):
         }
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Change in two hours, and power."""
+        """Return the change in two hours, and the power of time."""
         return {"change": coefficients["change"], "shape": form[0]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """Ambient that moves with a power of time."""
+        """Add an ambient that changes with a power of time."""
         change, shape = parameters["change"], parameters.get("shape", 1.0)
         plant.ambient_change.append(lambda time: change * (time / 7200.0) ** shape)

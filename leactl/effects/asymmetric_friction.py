@@ -16,16 +16,16 @@ class AsymmetricFriction(Effect):
     relative_to = ("coulomb_friction",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """A constant drag while the shaft turns."""
+        """Return a constant drag while the shaft turns."""
         if signals.sliding is None or signals.model.coulomb_friction is None or signals.mechanical == "locked":
             return {}
         return {"drag": {"asymmetry": signals.model.coulomb_friction * np.abs(signals.sliding)}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Half the difference over the mean."""
+        """Return half the difference of both directions over their mean."""
         return {"asymmetry": coefficients["asymmetry"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A factor with the direction."""
+        """Add a factor on friction by direction."""
         asymmetry = parameters["asymmetry"]
         plant.coulomb_share.append(lambda now: 1.0 + asymmetry * np.sign(now.velocity))

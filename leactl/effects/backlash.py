@@ -20,10 +20,10 @@ class Backlash(Effect):
     form_scales = ("friction",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """A twist that changes side with the torque.
+        """Return a twist that changes side with the torque.
 
-        When two turning rotors cross the play, their torques do not tell to the sample: what such runs make of the
-        width falls short, and has a coefficient of its own beside that of locked runs.
+        Torques do not show the sample at which two turning rotors cross the play, so that such runs give too small a
+        width. They have another coefficient than locked runs.
         """
         if signals.torque is None or signals.mechanical not in ("coupled", "locked"):
             return {}
@@ -31,9 +31,9 @@ class Backlash(Effect):
         return {"twist": {"width" if signals.mechanical == "locked" else "crossed": flank}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Whole width, of locked runs where there are any."""
+        """Return the whole width, from locked runs where there are any."""
         return {"width": coefficients.get("width", coefficients.get("crossed", 0.0))}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """Play in series with the shaft."""
+        """Add play in series with the shaft."""
         plant.play += parameters["width"]

@@ -14,15 +14,15 @@ class BusSag(Effect):
     one_sided = True
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Bus current of the test drive."""
+        """Return the bus current of the test drive, negative: it lowers the voltage."""
         if signals.bus_voltage is None or signals.voltage is None or signals.current is None:
             return {}
         return {"bus_voltage": {"resistance": -signals.voltage * signals.current / signals.bus_voltage}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Source resistance."""
+        """Return the resistance of the source."""
         return {"resistance": coefficients["resistance"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A resistance of the source."""
+        """Add a resistance of the source."""
         plant.bus_resistance += parameters["resistance"]

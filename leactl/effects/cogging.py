@@ -19,7 +19,7 @@ class Cogging(Effect):
     orders = (2, 250)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Sine and cosine of the angle times each order, as torque that drives the rotor."""
+        """Return sine and cosine of the angle times each order, as torque that drives the rotor."""
         if signals.angle is None:
             return {}
         waves: dict[str, Array] = {}
@@ -30,11 +30,11 @@ class Cogging(Effect):
         return {"drag": waves}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Amplitude, order and phase of the first order; further ones are further entries of a model file."""
+        """Return amplitude, order and phase of the first order; further orders are further entries of a model file."""
         amplitude = math.hypot(coefficients["cos"], coefficients["sin"])
         return {"amplitude": amplitude, "order": form[0], "phase": math.atan2(coefficients["cos"], coefficients["sin"])}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A torque over the angle."""
+        """Add a torque over the angle."""
         amplitude, order, phase = (parameters[name] for name in ("amplitude", "order", "phase"))
         plant.rotor_torque.append(lambda now: amplitude * np.sin(order * now.angle + phase))

@@ -25,11 +25,11 @@ class CommandSlewLimit(Effect):
     form_scales = ("highest rate",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The change of the model's current by a limit of its command before the current loop."""
+        """Return the change of the model's current by a rate limit of its command before the current loop."""
         if signals.command is None or signals.following is None or signals.looped is None:
             return {}
         most = form[0] * signals.interval
-        # a run may begin during a ramp: where the current is, not where the command wants it
+        # a run may begin during a ramp: it starts at the current, not at the command
         begin = float(signals.command[0] if signals.current is None else signals.current[0])
         ends = rate_limited(signals.command, most, begin)
         shares = ramp_shares(ends, most, begin)
@@ -40,25 +40,25 @@ class CommandSlewLimit(Effect):
         return {"current_following": {"strength": signals.looped(ends, shares, begin) - signals.following}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Rate."""
+        """Return the rate."""
         return {"rate": form[0]}
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
-        """How much of the limit is there."""
+        """Return the fitted share of the limit."""
         return abs(coefficients["strength"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A reference that is followed at a limited rate."""
+        """Add a rate limit of the current reference."""
         rate = parameters["rate"]
         plant.command.append(lambda values, interval: limited_means(values, rate * interval))
 
     def whole(self, form: Form, strength: float) -> Form:
-        """The rate as it is: a limit of half the strength is not a limit at another rate."""
+        """Return the form unchanged: half of a limit is no limit at another rate."""
         return form
 
 
 def limited_means(values: Array, most: float) -> Array:
-    """Mean over each step of what follows values by no more than `most` in a step, from the first value on."""
+    """Return the mean over each step of a signal that follows values by at most `most` in a step, from the first."""
     begin = float(values[0])
     ends = rate_limited(values, most, begin)
     return ramp_means(ends, ramp_shares(ends, most, begin), begin)

@@ -62,7 +62,7 @@ class Signals:
     """Signals of one run at its base rate, smoothed where the equations take derivatives; NaN-free, SI and degC.
 
     `angle`, `velocity`, `acceleration` come from the encoder's angle, `torque` is the model's torque on the shaft,
-    never the sensor's reading; `sliding` is the sign of the velocity, -1, 0 or 1, and smooth in between.
+    never the sensor's reading; `sliding` is the smoothed sign of the velocity, between -1 and 1.
     """
 
     mechanical: str
@@ -75,8 +75,8 @@ class Signals:
     command: Array | None = None  # A, reference of the model's loop over each interval
     command_held: bool = False  # whether the log says that it steps where an interval begins and holds from there
     following: Array | None = None  # A, response of the model's loop to the reference, as the current is read
-    # the same of a command that ramps to its value as each interval begins, then holds: called with the values, the
-    # share of each interval that the ramp takes, and the value before the first
+    # returns `following` for a command that ramps to its value as each interval begins and then holds; arguments: the
+    # values, the share of each interval that the ramp takes, and the value before the first interval
     looped: Callable[[Array, Array, float], Array] | None = None
     voltage: Array | None = None
     angle: Array | None = None
@@ -102,7 +102,7 @@ class Signals:
     smoothed: Callable[[Array], Array] = np.asarray  # smoothing of torques and accelerations
 
     def waves(self, order: float) -> tuple[Array, Array]:
-        """Cosine and sine of order times angle, attenuated by the mean over an interval and by the smoothing.
+        """Return cosine and sine of order times angle, attenuated by the mean over an interval and by the smoothing.
 
         A wave that advances by half of its period or more in an interval becomes zero.
 
@@ -124,17 +124,17 @@ class Effect:
     name: ClassVar[str]
     forms: ClassVar[Sequence[Form]] = ((),)  # grid of its non-linear parameters, in units of `form_scales`
     form_scales: ClassVar[tuple[str, ...]] = ()  # names in `SCALES`; missing ones are 1
-    relative_to: ClassVar[tuple[str, ...]] = ()  # model parameters whose part of a torque it is a share of
+    relative_to: ClassVar[tuple[str, ...]] = ()  # model parameters of the torque of which the effect is a share
     one_sided: ClassVar[bool] = False  # whether its coefficient has to be positive
     least: ClassVar[float] = 0.0  # size below which another cause is assumed
     continuous: ClassVar[bool] = True  # whether values between those of its forms are possible
     refined: ClassVar[int] = 1  # how many of a form's numbers are refined, from the first on
     narrow: ClassVar[bool] = False  # whether the first number may lie between two forms that both show nothing
     shaped: ClassVar[bool] = False  # whether its coefficient is a share of a shape, and 1 for the whole effect
-    limits_current: ClassVar[bool] = False  # whether it alone says what the current is wherever it acts
+    limits_current: ClassVar[bool] = False  # whether it alone determines the current wherever it acts
     delays: ClassVar[bool] = False  # whether it is a pure delay, as wrong stamps are
-    explains: ClassVar[float] = 0.82  # share of its action on its channels that its columns must explain
-    periodic: ClassVar[str] = ""  # place whose column repeats over the angle, where orders are searched
+    explains: ClassVar[float] = 0.82  # least share of the residual where it acts that its right form explains
+    periodic: ClassVar[str] = ""  # place of a wave over the angle, whose order a periodogram finds; empty for others
     orders: ClassVar[tuple[int, int]] = (0, 0)  # lowest and highest order tried of a wave, the first number of its form
 
     def forms_at(self, scales: Mapping[str, float]) -> list[Form]:

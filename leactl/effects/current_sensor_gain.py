@@ -13,7 +13,7 @@ class CurrentSensorGain(Effect):
     name = "current_sensor_gain"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The measured current, and the heat of the current that is not there."""
+        """Return the measured current, or the heat that the model computes in excess from a measured current."""
         if signals.current is not None:
             return {"current_reading": {"excess": signals.current}}
         heat = signals.extra.get("heat")
@@ -22,13 +22,13 @@ class CurrentSensorGain(Effect):
         return {}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Gain."""
+        """Return the gain."""
         return {"gain": 1.0 / max(1.0 - coefficients["excess"], 1e-3)}
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
-        """Relative error."""
+        """Return the relative error."""
         return abs(coefficients["excess"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A sensor whose reading the loop regulates."""
+        """Add a gain of the reading that the current loop regulates."""
         plant.current_gain *= parameters["gain"]

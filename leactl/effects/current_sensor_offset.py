@@ -15,16 +15,16 @@ class CurrentSensorOffset(Effect):
     name = "current_sensor_offset"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """A constant, and the heat of the current that is not there."""
-        if signals.current is not None or "commanded" in signals.extra:  # a force that is told shares its zero
+        """Return a constant, or the heat that the model computes in excess from a measured current."""
+        if signals.current is not None or "commanded" in signals.extra:  # a commanded force has the current's zero
             return {"current_reading": {"offset": np.ones_like(signals.time)}}
         more = signals.extra.get("heat_per_ampere")
         return {"winding_heat": {"offset": -more}} if more is not None else {}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Offset."""
+        """Return the offset."""
         return {"offset": coefficients["offset"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A sensor whose reading the loop regulates."""
+        """Add an offset of the reading that the current loop regulates."""
         plant.current_offset += parameters["offset"]

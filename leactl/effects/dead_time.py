@@ -18,16 +18,16 @@ class DeadTime(Effect):
     form_scales = ("highest current",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """A voltage that saturates with current."""
+        """Return a voltage that saturates with current."""
         if signals.current is None:
             return {}
         return {"voltage": {"voltage": np.tanh(signals.current / form[0])}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Voltage and current."""
+        """Return the lost voltage, and the current at which it saturates."""
         return {"voltage": coefficients["voltage"], "current": form[0]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A voltage that the drive applies and the winding does not see."""
+        """Add a loss of voltage between drive and winding."""
         lost, current = parameters["voltage"], parameters["current"]
         plant.lost_voltage.append(lambda flowing: lost * np.tanh(flowing / current))

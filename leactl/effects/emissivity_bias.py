@@ -17,11 +17,11 @@ class EmissivityBias(Effect):
     name = "emissivity_bias"
 
     def applies(self, model: Model) -> bool:
-        """Only a resistance that knows the temperature contradicts a camera: the network scales with it unseen."""
+        """Return whether the resistance depends on temperature: nothing else contradicts a camera's scale."""
         return model.resistance_coefficient > 0.0
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The camera's rise, and the resistance and its heat that go by a rise it does not see."""
+        """Return the rise that the camera misses, and voltages and heat of the winding's resistance at this rise."""
         if signals.winding is None or signals.ambient is None:
             return {}
         terms: Terms = {"camera_rise": {"excess": np.ones_like(signals.time)}}
@@ -38,13 +38,13 @@ class EmissivityBias(Effect):
         return terms
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Fraction; the columns are made of the rise that the camera reads, a fraction of the true one."""
+        """Return the fraction; the columns are linear in its inverse, since they contain the rise that is read."""
         return {"fraction": 1.0 / max(1.0 - coefficients["excess"], LEAST_INVERSE_FRACTION)}
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
-        """Relative error."""
+        """Return the relative error."""
         return abs(coefficients["excess"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A camera that reads a fraction."""
+        """Add a camera that reads a fraction of the rise."""
         plant.camera_fraction *= parameters["fraction"]

@@ -16,17 +16,17 @@ class EncoderEccentricity(Effect):
     name = "encoder_eccentricity"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Sine and cosine of the angle."""
+        """Return cosine and sine of the angle."""
         if signals.angle is None or signals.mechanical == "locked":
             return {}
         return {"angle_reading": {"cos": np.cos(signals.angle), "sin": np.sin(signals.angle)}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Amplitude and phase."""
+        """Return amplitude and phase."""
         amplitude = math.hypot(coefficients["cos"], coefficients["sin"])
         return {"amplitude": amplitude, "phase": math.atan2(coefficients["cos"], coefficients["sin"])}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """An error of the angle, and so of the velocity that is taken from it."""
+        """Add an error of the angle, and thereby of the velocity."""
         amplitude, phase = parameters["amplitude"], parameters["phase"]
         plant.angle_error.append(lambda angle: amplitude * np.sin(angle + phase))

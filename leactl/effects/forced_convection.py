@@ -16,7 +16,7 @@ class ForcedConvection(Effect):
     one_sided = True
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The heat that leaves beyond the model's."""
+        """Return the heat that leaves the housing in addition to the model's, per relative growth."""
         if (
             signals.housing is None
             or signals.ambient is None
@@ -28,10 +28,10 @@ class ForcedConvection(Effect):
         return {"housing_heat": {"coefficient": -leaving * np.abs(signals.velocity)}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Relative growth per speed."""
+        """Return the relative growth per speed."""
         return {"coefficient": coefficients["coefficient"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A conductance that grows with speed."""
+        """Add a conductance that grows with speed."""
         coefficient = parameters["coefficient"]
         plant.convection.append(lambda rise, speed: coefficient * speed)

@@ -20,17 +20,17 @@ class FrictionRunIn(Effect):
     form_scales = ("longest run",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Nominal friction, fading over the run."""
+        """Return the nominal friction, decaying over the run."""
         if signals.sliding is None or signals.velocity is None or signals.model.coulomb_friction is None:
             return {}
         friction = friction_torque(signals.model, signals.velocity, signals.sliding)
         return {"drag": {"excess": friction * np.exp(-signals.time / form[0])}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Excess and time constant."""
+        """Return excess and time constant."""
         return {"excess": coefficients["excess"], "time_constant": form[0]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """Friction that settles over the run."""
+        """Add friction that settles over the run."""
         excess, settling = parameters["excess"], parameters["time_constant"]
         plant.friction_share.append(lambda run: 1.0 + excess * np.exp(-run.time / settling))

@@ -15,7 +15,7 @@ class FrictionTemperature(Effect):
     relative_to = ("coulomb_friction", "viscous_damping")
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Nominal friction times the rise."""
+        """Return the nominal friction times the housing's rise."""
         if (
             signals.sliding is None
             or signals.velocity is None
@@ -27,10 +27,10 @@ class FrictionTemperature(Effect):
         return {"drag": {"coefficient": friction * signals.housing_rise}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Relative change per kelvin."""
+        """Return the relative change per kelvin."""
         return {"coefficient": coefficients["coefficient"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """Friction that goes with the housing."""
+        """Add friction that changes with the housing's temperature."""
         coefficient, reference = parameters["coefficient"], plant.model.reference_temperature
         plant.friction_share.append(lambda run: 1.0 + coefficient * (run.housing - reference))

@@ -27,7 +27,7 @@ class GearBacklash(Effect):
     name = "gear_backlash"
     relative_to = ("rotor_inertia",)
     one_sided = True
-    explains = 0.6  # where the flanks meet is known to a sample, and the torque there is large
+    explains = 0.6  # the sample at which flanks meet is known to one sample, and the torque there is large
     least = 0.1  # of the inertia: a load is no loose part
     refined = 2
     forms = tuple(
@@ -35,15 +35,15 @@ class GearBacklash(Effect):
     )
 
     def applies(self, model: Model) -> bool:
-        """A model with a shaft says what hangs there: its play is `backlash`."""
+        """Return whether the model has no shaft to a load actuator, whose play is `backlash`, and no other load."""
         return model.bench.shaft_stiffness is None and model.load.type == "none"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Torque that the load takes from the rigid joint's balance, for all of the inertia."""
+        """Return the change of the rigid joint's torque balance if the whole inertia were behind teeth."""
         return next(self.terms_of_all(signals, [form]))
 
     def terms_of_all(self, signals: Signals, forms: Sequence[Form]) -> Iterator[Terms]:
-        """The same of several forms, whose loads are followed side by side."""
+        """Yield the terms of several forms, whose loads are stepped side by side."""
         inertia, speed = signals.model.rotor_inertia, signals.velocity
         if signals.mechanical != "free" or speed is None or signals.acceleration is None or not inertia:
             yield from ({} for _ in forms)
@@ -63,12 +63,12 @@ class GearBacklash(Effect):
                 yield {"drag": {"share": inertia * np.gradient(beyond, signals.interval) + ratio * rubs}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """The play, and the load's share of inertia and of friction."""
+        """Return the play, and the load's shares of the inertia and of the friction."""
         share = coefficients["share"]
         return {"share": share, "play": form[0], "friction": share * form[1]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A second inertia behind teeth."""
+        """Add a second inertia behind teeth."""
         share, friction = parameters["share"], parameters.get("friction", DEFAULT_FRICTION_SHARE)
         plant.geared_load = GearedLoad(min(share, MOST_LOAD_SHARE), min(friction, MOST_LOAD_SHARE))
         plant.play += parameters["play"]

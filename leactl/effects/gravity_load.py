@@ -18,28 +18,28 @@ class GravityLoad(Effect):
     name = "gravity_load"
 
     def applies(self, model: Model) -> bool:
-        """On a pendulum it is part of the weight that hangs there. A bench's shaft has no arm."""
+        """Return whether the model has no pendulum, whose weight includes the effect, and no bench shaft."""
         return model.load.type != "pendulum" and model.bench.shaft_stiffness is None
 
     def is_usual(self, travel: float) -> bool:
-        """A joint that makes no whole turn carries an arm."""
+        """Return whether the joint makes no whole turn, and so may carry an arm."""
         return travel < FULL_TURN
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Cosine and sine of the joint's angle, as torque that the drive has to hold."""
+        """Return cosine and sine of the joint's angle, as torque that the drive has to hold."""
         if signals.angle is None:
             return {}
         cosine, sine = signals.waves(1.0)
         return {"drag": {"cos": cosine, "sin": sine}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Amplitude and phase."""
+        """Return amplitude and phase."""
         return {
             "amplitude": math.hypot(coefficients["cos"], coefficients["sin"]),
             "phase": math.atan2(-coefficients["sin"], coefficients["cos"]),
         }
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A torque over the angle."""
+        """Add a torque over the angle."""
         amplitude, phase = parameters["amplitude"], parameters["phase"]
         plant.rotor_torque.append(lambda now: -amplitude * np.cos(now.angle + phase))

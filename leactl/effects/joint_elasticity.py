@@ -35,7 +35,7 @@ class JointElasticity(Effect):
     narrow = True
 
     def applies(self, model: Model) -> bool:
-        """A model with a shaft says how elastic that is: what it lacks there is `shaft_compliance`."""
+        """Return whether the model has no shaft, whose elasticity is `shaft_compliance`, and no other load."""
         return model.bench.shaft_stiffness is None and model.load.type == "none"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
@@ -95,13 +95,13 @@ def fading_waves(fading: float, ringing: float, time: Array) -> list[Array]:
 
 
 def load_acceleration(acceleration: Array, frequency: float, damping_ratio: float, interval: float) -> Array:
-    """Return the load's acceleration for that of the motor; at first both are equal."""
+    """Return the load's acceleration for a given acceleration of the motor; both begin equal."""
     numerator, denominator = load_filter(frequency, damping_ratio, interval)
     initial = acceleration[0]
     return np.asarray(initial + lfilter(numerator, denominator, acceleration - initial), np.float64)
 
 
-@lru_cache(maxsize=1024)  # every run of a machine, and of each sound one in its place, asks for the same
+@lru_cache(maxsize=1024)  # all runs of a machine, and their simulated sound runs, need the same filters
 def load_filter(frequency: float, damping_ratio: float, interval: float) -> tuple[Array, Array]:
     """Return numerator and denominator of the discrete filter from a motor's acceleration to its load's."""
     rate = 2.0 * np.pi * frequency

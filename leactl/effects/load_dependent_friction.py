@@ -13,16 +13,16 @@ LEAST_LOCKED_FORM = 0.01  # replaces a form of zero where a rotor sticks, whose 
 
 
 class LoadDependentFriction(Effect):
-    """Friction that grows with what is transmitted."""
+    """Friction that grows with the transmitted torque."""
 
     name = "load_dependent_friction"
     one_sided = True
-    # how much of it the model's torque already has to do without
+    # coefficients that are assumed in the column for the transmitted torque, which the effect itself changes
     forms = ((0.0,), (0.03,), (0.06,), (0.09,), (0.12,), (0.15,), (0.18,), (0.22,))
     continuous = False
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """A drag in proportion to shaft torque."""
+        """Return a drag in proportion to shaft torque."""
         if signals.mechanical == "locked":
             current = signals.extra.get("sharp_current", signals.current)
             return (
@@ -34,25 +34,25 @@ class LoadDependentFriction(Effect):
             )
         if signals.sliding is None or signals.velocity is None or signals.torque is None:
             return {}
-        # the friction itself takes from a torque that drives and adds to one that brakes
+        # the effect itself reduces a driving torque and increases a braking one
         carried = np.abs(signals.torque) / (1.0 + form[0] * np.sign(signals.torque * signals.velocity))
         return {"drag": {"coefficient": signals.sliding * carried}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Friction per torque."""
+        """Return the friction per torque."""
         return {"coefficient": coefficients["coefficient"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """Coulomb friction in proportion to shaft torque."""
+        """Add Coulomb friction in proportion to shaft torque."""
         coefficient = parameters["coefficient"]
         plant.coulomb_added.append(lambda now: coefficient * np.abs(now.transmitted))
 
 
 def hidden_locked_torque(current: Array, model: Model, coefficient: float) -> Array:
-    """What a locked rotor hides of its torque beyond the model's, per coefficient.
+    """Return the torque that a locked rotor hides in addition to the model's friction, per coefficient.
 
-    Rising levels lose a share of themselves and falling ones keep as much: their mean gains c^2, which is a torque
-    sensor's gain to whoever lacks this.
+    Rising levels lose a share of the torque and falling ones keep it. Their mean changes by c^2, which in a model
+    without this effect looks like a gain of the torque sensor.
     """
     force = (model.torque_constant or 0.0) * current
     friction, sign = model.coulomb_friction or 0.0, np.sign

@@ -16,17 +16,17 @@ class MagnetTemperature(Effect):
     forms = ((0.0,), (1.0,))
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """One relative loss in both constants, with the housing's or the winding's rise."""
+        """Return an equal relative loss of both constants, in proportion to the housing's or the winding's rise."""
         if signals.housing_rise is None or signals.winding_rise is None:
             return {}
         rise = signals.winding_rise if form[0] else signals.housing_rise
         return {"torque_factor": {"coefficient": -rise}, "emf_factor": {"coefficient": -rise}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Relative loss per kelvin."""
+        """Return the relative loss per kelvin."""
         return {"coefficient": coefficients["coefficient"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """Both constants, with the housing."""
+        """Add a change of both constants with the housing's temperature."""
         coefficient, reference = parameters["coefficient"], plant.model.reference_temperature
         plant.magnet_share.append(lambda run: 1.0 - coefficient * (run.housing - reference))

@@ -16,7 +16,7 @@ class NonlinearConvection(Effect):
     one_sided = True
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The heat that leaves beyond the model's."""
+        """Return the heat that leaves the housing in addition to the model's, per relative growth."""
         if signals.housing is None or signals.ambient is None or signals.model.thermal is None:
             return {}
         rise = signals.housing - signals.ambient
@@ -25,10 +25,10 @@ class NonlinearConvection(Effect):
         }
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Relative growth per kelvin."""
+        """Return the relative growth per kelvin."""
         return {"coefficient": coefficients["coefficient"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A conductance that grows with the rise."""
+        """Add a conductance that grows with the rise."""
         coefficient = parameters["coefficient"]
         plant.convection.append(lambda rise, speed: coefficient * np.abs(rise))

@@ -1,4 +1,4 @@
-"""A simulated bench as effects change it: its numbers, and lists of functions by the place where they act.
+"""A simulated bench: its numbers, and the functions by which effects change it, listed by the place where they act.
 
 Each effect of the library puts its simulation form here (`Effect.act`), so that any of them combine: factors multiply,
 torques and voltages add, transformations of a reference or a reading are applied in turn. Mechanical
@@ -25,7 +25,7 @@ class Moment:
     angle: Array  # rad
     velocity: Array  # rad/s, before this step's friction: its sign is the direction in which a rotor would move
     drive: Array  # N*m, of the current
-    transmitted: Array  # N*m, onto the shaft
+    transmitted: Array  # N*m, torque on the shaft
 
 
 @dataclass
@@ -70,18 +70,18 @@ class Plant:
     elastic_load: ElasticLoad | None = None  # on a free rotor
     geared_load: GearedLoad | None = None  # on a free rotor
     bristle: float = 0.0  # rad, over which friction builds up by an effect
-    give: float = BEARING_GIVE  # rad, over which it builds up in any bearing
+    give: float = BEARING_GIVE  # rad, over which friction builds up in any bearing
     current_gain: float = 1.0  # measured current over current
     current_offset: float = 0.0  # A
     bus_resistance: float = 0.0  # ohm
     camera_fraction: float = 1.0  # of the rise above ambient that the camera reads
     further_node: tuple[float, float] | None = None  # J/K and K/W of a body behind the housing
 
-    command: list[Becomes] = field(default_factory=list)  # A, what the current loop follows
+    command: list[Becomes] = field(default_factory=list)  # A, changes of the command of the current loop
     command_at_speed: list[Callable[[Array, Array], Array]] = field(default_factory=list)  # the same at a speed [rad/s]
-    loop_answer: list[Becomes] = field(default_factory=list)  # A, what becomes of the loop's answer
-    set_point: list[Becomes] = field(default_factory=list)  # rad, what a position servo follows
-    servo_error: list[Callable[[Array], Array]] = field(default_factory=list)  # rad, what it answers of an error [rad]
+    loop_answer: list[Becomes] = field(default_factory=list)  # A, changes of the current loop's response
+    set_point: list[Becomes] = field(default_factory=list)  # rad, changes of the set-point of a position servo
+    servo_error: list[Callable[[Array], Array]] = field(default_factory=list)  # rad, changes of the servo's error [rad]
     torque_share: list[Callable[[Array], Array]] = field(default_factory=list)  # factor at a current [A]
     magnet_share: list[OfCourse] = field(default_factory=list)  # factor on torque and back-EMF constant
     friction_share: list[OfCourse] = field(default_factory=list)  # factor on viscous damping and Coulomb friction

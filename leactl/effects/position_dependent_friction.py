@@ -20,7 +20,7 @@ class PositionDependentFriction(Effect):
     forms = tuple((float(order),) for order in range(orders[0], orders[1] + 1))
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """A drag with the sign of the motion, periodic in angle."""
+        """Return a drag with the sign of the motion, periodic in angle."""
         if (
             signals.sliding is None
             or signals.angle is None
@@ -33,7 +33,7 @@ class PositionDependentFriction(Effect):
         return {"drag": {"cos": sliding * cosine, "sin": sliding * sine}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Amplitude, order and phase."""
+        """Return amplitude, order and phase."""
         amplitude = math.hypot(coefficients["cos"], coefficients["sin"])
         return {
             "amplitude": amplitude,
@@ -42,6 +42,6 @@ class PositionDependentFriction(Effect):
         }
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A factor over the angle."""
+        """Add a factor on friction over the angle."""
         amplitude, order, phase = (parameters[name] for name in ("amplitude", "order", "phase"))
         plant.coulomb_share.append(lambda now: 1.0 + amplitude * np.cos(order * now.angle + phase))

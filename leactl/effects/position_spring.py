@@ -10,10 +10,10 @@ from leactl.model.nominal import Model
 
 
 class PositionSpring(Effect):
-    """A cable that pulls back, ever harder or up to what makes it slip."""
+    """A cable that pulls back, in proportion to the angle or up to a force at which it slips."""
 
     name = "position_spring"
-    # reach, from a cable that soon slips to a spring all along, and the rest that columns are made about
+    # reach, from a cable that soon slips to a linear spring, and the rest angle about which columns are linearised
     forms = ((0.03, 0.0), (0.1, 0.0), (0.3, 0.0), (1.0, 0.0), (30.0, 0.0))
     form_scales = ("travel",)
     one_sided = True
@@ -29,7 +29,7 @@ class PositionSpring(Effect):
         reach, rest = form
         away = signals.angle - rest
         bent = 1.0 + (away / reach) ** 2
-        # coefficients go by name: the one that is the effect's size has to come first
+        # columns are sorted by the names of coefficients: that of the effect's size has to come first
         return {"drag": {"pull": away / np.sqrt(bent), "rest": -(bent**-1.5)}}
 
     def is_distinct(self, form: Form, coefficients: Mapping[str, float], visited: tuple[float, float]) -> bool:

@@ -20,7 +20,7 @@ class PowerFoldback(Effect):
     form_scales = ("highest power",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """What the limit takes from the model's current."""
+        """Return the change of the model's current by the limit."""
         constant = signals.model.torque_constant
         if signals.following is None or signals.velocity is None or constant is None:
             return {}
@@ -28,25 +28,25 @@ class PowerFoldback(Effect):
         return {"current_following": {"strength": cut - signals.following}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """The largest power."""
+        """Return the largest power."""
         return {"power": form[0]}
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
-        """How much of the limit is there."""
+        """Return the fitted share of the limit."""
         return abs(coefficients["strength"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A command that is cut off by the speed that was measured."""
+        """Add a limit of the command at the measured speed."""
         constant = plant.model.torque_constant
         if constant is not None:
             most = parameters["power"] / constant
             plant.command_at_speed.append(lambda values, speed: folded_back(values, speed, most))
 
     def whole(self, form: Form, strength: float) -> Form:
-        """The limit itself: half of a limit is no limit at another power."""
+        """Return the form unchanged: half of a limit is no limit at another power."""
         return form
 
 
 def folded_back(current: Array, velocity: Array, most: float) -> Array:
-    """A current [A] that times the speed stays within a bound [A*rad/s]."""
+    """Return the current [A], reduced so that its product with the speed stays within a bound [A*rad/s]."""
     return np.asarray(current * (most / np.maximum(np.abs(current * velocity), most)), np.float64)

@@ -21,7 +21,7 @@ class Presliding(Effect):
     forms = tuple((float(displacement),) for displacement in np.geomspace(0.0005, 0.02, 6))
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """What is missing from Coulomb friction until the bristles are bent; a locked rotor moves by its twist."""
+        """Return the difference from Coulomb friction while bristles bend; a locked rotor moves by its twist."""
         model = signals.model
         if model.coulomb_friction is None:
             return {}
@@ -36,9 +36,9 @@ class Presliding(Effect):
         return {"drag": {"strength": model.coulomb_friction * (bristle(signals.angle, form[0]) - signals.sliding)}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """The displacement, scaled by how much of the column is there."""
+        """Return the displacement, scaled by the fitted share of the column."""
         return {"displacement": form[0] * coefficients["strength"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """Bristles that bend before they slide."""
+        """Add bristles that bend before they slide."""
         plant.bristle += parameters["displacement"]

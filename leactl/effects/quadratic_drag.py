@@ -16,16 +16,16 @@ class QuadraticDrag(Effect):
     one_sided = True
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """A drag."""
+        """Return a drag with the square of the speed."""
         if signals.velocity is None:
             return {}
         return {"drag": {"coefficient": signals.velocity * np.abs(signals.velocity)}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Drag per squared speed."""
+        """Return the drag per squared speed."""
         return {"coefficient": coefficients["coefficient"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A drag."""
+        """Add a drag with the square of the speed."""
         coefficient = parameters["coefficient"]
         plant.drag.append(lambda now: coefficient * now.velocity * np.abs(now.velocity))

@@ -26,7 +26,7 @@ class ReferenceRateLimit(Effect):
         return {}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Speed."""
+        """Return the speed limit."""
         return {"speed": coefficients["speed"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:

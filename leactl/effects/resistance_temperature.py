@@ -14,11 +14,11 @@ class ResistanceTemperature(Effect):
     one_sided = True
 
     def applies(self, model: Model) -> bool:
-        """A coefficient that the model has is a parameter."""
+        """Return whether the model has no coefficient; one that it has is a parameter."""
         return model.resistance_coefficient == 0.0
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The voltage over the added resistance, of the drive or of the heated leads."""
+        """Return the voltage over the added resistance, of the drive or of the heated leads, and its heat."""
         if signals.winding_rise is None or signals.model.phase_resistance is None:
             return {}
         terms: Terms = {}
@@ -34,9 +34,9 @@ class ResistanceTemperature(Effect):
         return terms
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Relative change per kelvin."""
+        """Return the relative change per kelvin."""
         return {"coefficient": coefficients["coefficient"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A coefficient of the resistance."""
+        """Add a coefficient of the resistance."""
         plant.resistance_coefficient += parameters["coefficient"]

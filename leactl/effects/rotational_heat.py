@@ -16,7 +16,7 @@ class RotationalHeat(Effect):
     one_sided = True
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Friction power into the housing."""
+        """Return the friction power, as heat of the housing."""
         if (
             signals.housing is None
             or signals.ambient is None
@@ -29,11 +29,11 @@ class RotationalHeat(Effect):
         return {"housing_heat": {"fraction": power}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Share."""
+        """Return the share of the friction power."""
         return {"fraction": coefficients["fraction"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """Heat of the housing at a speed."""
+        """Add heat of the housing at a speed."""
         fraction, model = parameters["fraction"], plant.model
         damping, friction = model.viscous_damping or 0.0, model.coulomb_friction or 0.0
         plant.housing_heat.append(lambda speed: fraction * (damping * speed + friction) * speed)

@@ -19,16 +19,16 @@ class Saturation(Effect):
     form_scales = ("1", "highest current")
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Relative loss, growing with current."""
+        """Return a relative loss that grows with current."""
         if signals.current is None:
             return {}
         return {"torque_factor": {"loss": -((np.abs(signals.current) / form[1]) ** form[0])}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Loss, how it grows, and the current at which it is told."""
+        """Return the loss at a current, the exponent of its growth, and that current."""
         return {"loss": coefficients["loss"], "exponent": form[0], "current": form[1]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A torque constant that falls with a power of the current, the square by default."""
+        """Add a torque constant that falls with a power of the current, the square by default."""
         loss, exponent, full = parameters["loss"], parameters.get("exponent", 2.0), parameters.get("current", 25.0)
         plant.torque_share.append(lambda current: 1.0 - loss * (np.abs(current) / full) ** exponent)

@@ -16,18 +16,18 @@ class ServoDeadBand(Effect):
     one_sided = True
 
     def applies(self, model: Model) -> bool:
-        """A servo's alone."""
+        """Return whether a position servo drives the model."""
         return model.drive is not None
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Nothing: what a controller does to its error shows where runs are simulated."""
+        """Return no terms: the effect is judged by simulation."""
         return {}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Band."""
+        """Return the band."""
         return {"band": coefficients["band"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """Errors within the band count as none."""
+        """Add a dead band of the servo's error."""
         band = parameters["band"]
         plant.servo_error.append(lambda error: np.where(np.abs(error) < band, 0.0, error))

@@ -14,20 +14,20 @@ class ShaftCompliance(Effect):
     one_sided = True
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The model's own twist, in proportion."""
+        """Return the twist by the model's stiffness."""
         if signals.torque is None or signals.model.bench.shaft_stiffness is None:
             return {}
         return {"twist": {"excess": signals.torque / signals.model.bench.shaft_stiffness}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Stiffness."""
+        """Return the stiffness."""
         assert model.bench.shaft_stiffness is not None
         return {"stiffness": model.bench.shaft_stiffness / max(1.0 + coefficients["excess"], 1e-3)}
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
-        """Relative softness."""
+        """Return the relative excess of the compliance."""
         return abs(coefficients["excess"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A softer shaft."""
+        """Replace the shaft's stiffness."""
         plant.stiffness = parameters["stiffness"]

@@ -19,7 +19,7 @@ class Stribeck(Effect):
     form_scales = ("highest speed",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """A drag that fades with speed; a locked rotor turns by less than its encoder tells a speed of."""
+        """Return a drag that falls with speed; none for a locked rotor, whose encoder shows no speed."""
         if (
             signals.mechanical == "locked"
             or signals.sliding is None
@@ -31,11 +31,11 @@ class Stribeck(Effect):
         return {"drag": {"ratio": signals.model.coulomb_friction * signals.sliding * fading}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Ratio and speed."""
+        """Return ratio, speed and shape."""
         return {"breakaway_ratio": coefficients["ratio"], "stribeck_velocity": form[0], "shape": form[1]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A factor that fades with speed."""
+        """Add a factor on friction that falls with speed."""
         ratio, fading = parameters["breakaway_ratio"], parameters["stribeck_velocity"]
         shape = parameters.get("shape", 1.0)
         plant.coulomb_share.append(lambda now: 1.0 + ratio * np.exp(-((np.abs(now.velocity) / fading) ** shape)))

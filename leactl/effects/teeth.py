@@ -31,12 +31,13 @@ def follow_loads(
     loads, pieces = len(half_plays), -(-(len(speed) - 1) // PIECE_SAMPLES)
     motor = np.concatenate([speed, np.full(pieces * PIECE_SAMPLES + 1 - len(speed), speed[-1])])
     begins = np.arange(pieces) * PIECE_SAMPLES
-    # states are speed of the load and angle of the motor beyond it; first guess: pressed the way the motor turns
+    # states are speed of the load and angle of the motor beyond it; first guess: pressed in the motor's direction
     starts = np.stack([motor[begins] * np.ones((loads, 1)), half_plays[:, None] * np.sign(motor[begins])])
     states = np.zeros((2, PIECE_SAMPLES, loads, pieces))
     fastest = float(np.max(np.abs(speed)))
     shares = np.arange(STEPS_PER_SAMPLE + 1)[:, None] / STEPS_PER_SAMPLE  # of a sample's interval
-    load, piece = (index.ravel() for index in np.indices((loads, pieces)))  # of each lane; at first every piece of all
+    # load and piece of each lane; in the first pass there is a lane for every piece of every load
+    load, piece = (index.ravel() for index in np.indices((loads, pieces)))
     for _ in range(MOST_PASSES):
         teeth = Teeth(half_plays[load], damping[load], friction[load], interval / STEPS_PER_SAMPLE)
         state = starts[0, load, piece], starts[1, load, piece]
@@ -51,13 +52,13 @@ def follow_loads(
         slower, behind = np.abs(starts[:, load, piece] - ends)
         starts[:, load, piece] = ends
         began_elsewhere = (slower > MOST_SPEED_MISMATCH * fastest) | (behind > MOST_ANGLE_MISMATCH * half_plays[load])
-        load, piece = load[began_elsewhere], piece[began_elsewhere]  # which are stepped again, from where they begin
+        load, piece = load[began_elsewhere], piece[began_elsewhere]  # stepped again from their new starts
         if len(load) == 0:
             break
     joined = states.transpose(0, 2, 3, 1).reshape(2, loads, -1)
     trimmed = np.concatenate([joined, joined[:, :, -1:]], axis=2)[
         :, :, : len(speed)
-    ]  # the last sample as the one before
+    ]  # the last sample equals the one before
     return trimmed[0], trimmed[1]
 
 

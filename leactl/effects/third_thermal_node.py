@@ -19,21 +19,21 @@ class ThirdThermalNode(Effect):
     form_scales = ("housing",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The heat into a body that follows the housing with R C."""
+        """Return the heat from a body that follows the housing with the time constant R C, per conductance."""
         if signals.housing is None or signals.ambient is None or signals.model.thermal is None:
             return {}
         following = lagged(signals.housing, form[0], signals.interval)
         columns = {"conductance": following - signals.housing}
         if signals.mechanical != "heated":
-            # a run that begins warm does not say how warm the fixture is
+            # the temperature of the body at the start of a run that begins warm is not known
             columns[f"start of {signals.run}"] = np.exp(-signals.time / form[0])
         return {"housing_heat": columns}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Capacity and resistance."""
+        """Return capacitance and resistance."""
         conductance = max(coefficients["conductance"], 1e-9)
         return {"capacitance": form[0] * conductance, "resistance": 1.0 / conductance}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A body behind the housing."""
+        """Add a body behind the housing."""
         plant.further_node = (parameters["capacitance"], parameters["resistance"])

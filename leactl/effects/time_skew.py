@@ -19,17 +19,17 @@ class TimeSkew(Effect):
     form_scales = ("torque filter",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The model's torque, delayed, against itself."""
+        """Return the change of the model's torque by the delay."""
         if signals.calm_torque is None or signals.mechanical == "free":
             return {}
         late = delayed(signals.calm_torque, form[0], signals.interval)
         return {"torque_reading": {"strength": late - signals.calm_torque}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Delay."""
+        """Return the delay."""
         return {"delay": form[0] * coefficients["strength"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A reading of an earlier torque."""
+        """Add a delay of the torque channel."""
         delay = parameters["delay"]
         plant.torque_reading.append(lambda run, reading: delayed(reading, delay, run.interval))

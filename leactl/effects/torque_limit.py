@@ -20,25 +20,25 @@ class TorqueLimit(Effect):
     form_scales = ("highest current",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """What the limit takes from the model's current."""
+        """Return the change of the model's current by the limit."""
         if signals.following is None:
             return {}
         cut = np.clip(signals.following, -form[0], form[0])
         return {"current_following": {"strength": cut - signals.following}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """The largest current."""
+        """Return the largest current."""
         return {"current": form[0]}
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
-        """How much of the limit is there."""
+        """Return the fitted share of the limit."""
         return abs(coefficients["strength"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A command that is cut off."""
+        """Add a limit of the command."""
         most = parameters["current"]
         plant.command.append(lambda values, interval: np.clip(values, -most, most))
 
     def whole(self, form: Form, strength: float) -> Form:
-        """The limit itself: half of a limit is no limit at another current."""
+        """Return the form unchanged: half of a limit is no limit at another current."""
         return form

@@ -16,18 +16,18 @@ class TorqueSensorCrosstalk(Effect):
     name = "torque_sensor_crosstalk"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Sine and cosine of the angle."""
+        """Return cosine and sine of the angle."""
         if signals.torque is None or signals.mechanical == "free" or signals.angle is None:
             return {}
         cosine, sine = signals.waves(1.0)
         return {"torque_reading": {"cos": cosine, "sin": sine}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Amplitude and phase."""
+        """Return amplitude and phase."""
         amplitude = math.hypot(coefficients["cos"], coefficients["sin"])
         return {"amplitude": amplitude, "phase": math.atan2(coefficients["cos"], coefficients["sin"])}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A reading over the angle."""
+        """Add a reading over the angle."""
         amplitude, phase = parameters["amplitude"], parameters["phase"]
         plant.torque_reading.append(lambda run, reading: reading + amplitude * np.sin(run.angle + phase))

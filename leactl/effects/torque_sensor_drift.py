@@ -13,16 +13,16 @@ class TorqueSensorDrift(Effect):
     name = "torque_sensor_drift"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The time."""
+        """Return the time."""
         if signals.torque is None or signals.mechanical == "free":
             return {}
         return {"torque_reading": {"rate": signals.time}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Rate."""
+        """Return the rate."""
         return {"rate": coefficients["rate"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A zero that moves."""
+        """Add a zero that moves with time."""
         rate = parameters["rate"]
         plant.torque_reading.append(lambda run, reading: reading + rate * run.time)

@@ -13,20 +13,20 @@ class TorqueSensorGain(Effect):
     name = "torque_sensor_gain"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The model's torque."""
+        """Return the model's torque."""
         if signals.torque is None or signals.mechanical == "free":
             return {}
         return {"torque_reading": {"excess": signals.torque}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Gain."""
+        """Return the gain."""
         return {"gain": 1.0 + coefficients["excess"]}
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
-        """Relative error."""
+        """Return the relative error."""
         return abs(coefficients["excess"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A factor."""
+        """Add a factor on the reading."""
         gain = parameters["gain"]
         plant.torque_reading.append(lambda run, reading: gain * reading)

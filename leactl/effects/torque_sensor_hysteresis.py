@@ -18,7 +18,7 @@ class TorqueSensorHysteresis(Effect):
     forms = ((0.01,), (0.05,), (0.2,))
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """What play on either side takes from the model's torque, as a share of the swing."""
+        """Return the change of the model's torque by play, per share of the run's largest torque."""
         if signals.torque is None or signals.mechanical == "free":
             return {}
         swing = float(np.max(np.abs(signals.torque)))
@@ -28,10 +28,10 @@ class TorqueSensorHysteresis(Effect):
         return {"torque_reading": {"width": behind}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Half width over the swing."""
+        """Return the half width over the run's largest torque."""
         return {"width": coefficients["width"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A reading that follows with play, a share of the run's swing."""
+        """Add play of the reading, as a share of the run's largest torque."""
         width = parameters["width"]
         plant.torque_reading.append(lambda run, reading: play(reading, width * float(np.max(np.abs(reading)))))

@@ -18,17 +18,17 @@ class TorqueSensorLag(Effect):
     form_scales = ("torque filter",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The model's torque, lagged, against itself."""
+        """Return the change of the model's torque by the lag."""
         if signals.calm_torque is None or signals.mechanical == "free":
             return {}
         late = lagged(signals.calm_torque, form[0], signals.interval)
         return {"torque_reading": {"strength": late - signals.calm_torque}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Time constant."""
+        """Return the time constant."""
         return {"time_constant": form[0] * coefficients["strength"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A further lag."""
+        """Add a lag of the torque channel."""
         constant = parameters["time_constant"]
         plant.torque_reading.append(lambda run, reading: lagged(reading, constant, run.interval))

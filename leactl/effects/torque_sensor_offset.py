@@ -15,16 +15,16 @@ class TorqueSensorOffset(Effect):
     name = "torque_sensor_offset"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """A constant."""
+        """Return a constant."""
         if signals.torque is None or signals.mechanical == "free":
             return {}
         return {"torque_reading": {"offset": np.ones_like(signals.time)}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Offset."""
+        """Return the offset."""
         return {"offset": coefficients["offset"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A zero."""
+        """Add an offset of the reading."""
         offset = parameters["offset"]
         plant.torque_reading.append(lambda run, reading: reading + offset)

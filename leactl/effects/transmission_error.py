@@ -18,23 +18,23 @@ class TransmissionError(Effect):
     continuous = False
 
     def applies(self, model: Model) -> bool:
-        """Only a model that tells its gear tells the orders."""
+        """Return whether the model has a gear, whose ratio gives the orders."""
         return model.gear_ratio != 1.0
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Sine and cosine of the motor's angle, as an error of the joint's."""
+        """Return cosine and sine of the motor's angle, as an error of the joint's angle."""
         if signals.angle is None or signals.mechanical != "free":
             return {}
         turned = form[0] * signals.model.gear_ratio * signals.angle
         return {"angle_reading": {"cos": np.cos(turned), "sin": np.sin(turned)}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Amplitude, order at the joint, phase."""
+        """Return amplitude, order at the joint, and phase."""
         amplitude = math.hypot(coefficients["cos"], coefficients["sin"])
         order = form[0] * model.gear_ratio
         return {"amplitude": amplitude, "order": order, "phase": math.atan2(coefficients["cos"], coefficients["sin"])}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """An error of the angle, and so of the velocity that is taken from it."""
+        """Add an error of the angle, and thereby of the velocity."""
         amplitude, order, phase = (parameters[name] for name in ("amplitude", "order", "phase"))
         plant.angle_error.append(lambda angle: amplitude * np.sin(order * angle + phase))

@@ -19,17 +19,17 @@ class TransportDelay(Effect):
     form_scales = ("loop",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The model's current, delayed, against itself."""
+        """Return the change of the model's current by the delay."""
         if signals.following is None:
             return {}
         late = delayed(signals.following, form[0], signals.interval)
         return {"current_following": {"strength": late - signals.following}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Delay."""
+        """Return the delay."""
         return {"delay": form[0] * coefficients["strength"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A loop that answers late."""
+        """Add a delay of the current loop's response."""
         delay = parameters["delay"]
         plant.loop_answer.append(lambda values, interval: delayed(values, delay, interval))

@@ -16,26 +16,26 @@ class Unbalance(Effect):
     name = "unbalance"
 
     def applies(self, model: Model) -> bool:
-        """On a pendulum or arm without a gear it is part of the weight that hangs there."""
+        """Return whether the model has no load on an ungeared shaft, whose weight would include the effect."""
         return model.load.type == "none" or model.gear_ratio != 1.0
 
     def is_usual(self, travel: float) -> bool:
-        """What makes whole turns carries no arm."""
+        """Return whether the joint makes whole turns, and so carries no arm."""
         return travel >= 2.0 * math.pi
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Sine and cosine of the rotor's angle, as torque that drives it."""
+        """Return cosine and sine of the rotor's angle, as torque that drives it."""
         if signals.angle is None:
             return {}
         cosine, sine = signals.waves(signals.model.gear_ratio)
         return {"drag": {"cos": -cosine, "sin": -sine}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Amplitude and phase."""
+        """Return amplitude and phase."""
         amplitude = math.hypot(coefficients["cos"], coefficients["sin"])
         return {"amplitude": amplitude, "phase": math.atan2(coefficients["cos"], coefficients["sin"])}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A torque over the angle."""
+        """Add a torque over the angle."""
         amplitude, phase, ratio = parameters["amplitude"], parameters["phase"], plant.model.gear_ratio
         plant.rotor_torque.append(lambda now: amplitude * np.sin(ratio * now.angle + phase))

@@ -18,17 +18,17 @@ class VelocityFilterLag(Effect):
     form_scales = ("velocity filter",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """The model's velocity, lagged, against itself."""
+        """Return the change of the model's velocity by the lag."""
         if signals.calm_velocity is None or signals.angle is None:
             return {}
         late = lagged(signals.calm_velocity, form[0], signals.interval)
         return {"velocity_reading": {"strength": late - signals.calm_velocity}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Time constant."""
+        """Return the time constant."""
         return {"time_constant": form[0] * coefficients["strength"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A further lag."""
+        """Add a lag of the velocity channel."""
         constant = parameters["time_constant"]
         plant.velocity_reading.append(lambda values, interval: lagged(values, constant, interval))

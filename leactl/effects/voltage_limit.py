@@ -28,7 +28,7 @@ class VoltageLimit(Effect):
     form_scales = ("highest current", "highest current", "highest speed")
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """What the limit takes from the model's current."""
+        """Return the change of the model's current by the limit."""
         if signals.command is None or signals.following is None or signals.velocity is None or signals.looped is None:
             return {}
         if form[1] >= form[0]:  # a current that does not fall with speed: another limit
@@ -40,20 +40,20 @@ class VoltageLimit(Effect):
         return {"current_following": {"strength": response - signals.following}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Stall current and no-load speed."""
+        """Return stall current and no-load speed."""
         return {"stall_current": form[0], "no_load_speed": unloaded_speed(form)}
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
-        """How much of the limit is there."""
+        """Return the fitted share of the limit."""
         return abs(coefficients["strength"])
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """A command that is cut off by what the measured speed leaves of the voltage."""
+        """Add a limit of the command by the voltage that back-EMF leaves at the measured speed."""
         stall_current, no_load_speed = parameters["stall_current"], parameters["no_load_speed"]
         plant.command_at_speed.append(lambda values, speed: within_voltage(values, speed, stall_current, no_load_speed))
 
     def whole(self, form: Form, strength: float) -> Form:
-        """The limit itself: half of a limit is no limit at another voltage."""
+        """Return the form unchanged: half of a limit is no limit at another voltage."""
         return form
 
 
