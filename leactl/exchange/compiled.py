@@ -44,7 +44,7 @@ class Joint:
 
     name: str
     slides: bool
-    inertia: float  # kg*m^2, of all that it moves, armature included, the joints below held
+    inertia: float  # kg*m^2, of all bodies that the joint moves, with its armature; the joints below are held
     armature: float  # kg*m^2, of the joint's attribute
     damping: float  # N*m*s/rad, at standstill
     attribute_damping: float  # N*m*s/rad, of the joint's attribute
@@ -52,14 +52,14 @@ class Joint:
     stiffness: float  # N*m/rad
     spring_rest: float  # rad
     level_torque: float  # N*m, holds the moved bodies level; of a slide, the weight along it [N]
-    hanging_angle: float  # rad, at which that hangs straight down
+    hanging_angle: float  # rad, at which the moved bodies hang straight down
     mass: float  # kg, of the moved bodies
     lever: float  # m, from its axis to the centre of that mass
     torque_limit: float | None  # N*m, of all actuators together (actuatorfrcrange)
     range: tuple[float, float] | None  # rad
     actuator: JointActuator | None
     timestep: float  # s, of the file
-    notes: tuple[str, ...]  # what the file says and no model file can
+    notes: tuple[str, ...]  # on facts of the file that a model file cannot express
 
 
 def is_urdf(text: XmlText) -> bool:

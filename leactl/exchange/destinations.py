@@ -66,7 +66,7 @@ class Destination:
 
     entry: EffectEntry
     goes_to: str  # mjcf, callbacks or nowhere
-    reason: str  # why nowhere, else empty
+    reason: str  # why it goes nowhere; empty otherwise
 
 
 def destinations(model: Model, law: str | None) -> Iterator[Destination]:

@@ -30,7 +30,7 @@ class ImportedJoint:
     model: Model
     text: str  # of the file
     joint: Joint
-    missing: dict[str, str]  # by key of a model file, why it is left out
+    missing: dict[str, str]  # by key of a model file: reason why it is left out
     notes: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:

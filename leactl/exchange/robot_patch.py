@@ -14,7 +14,7 @@ from leactl.model.nominal import Model
 from leactl.runfile.publish import new_file
 
 WRITTEN_TOLERANCE = 1e-6  # relative difference between a written figure and the one that MuJoCo reads
-# steps, time constant of MuJoCo's friction at rest: its default of 20 ms creeps where a bearing sticks
+# simulation steps, time constant of MuJoCo's friction at rest; with its default of 20 ms a sticking bearing creeps
 STICKING_STEPS = 4.0
 STICKING_IMPEDANCE = "0.999 0.9999 0.001"  # solimpfriction of a bearing that sticks
 

@@ -1,6 +1,6 @@
-"""The second simulator: MuJoCo simulates rotor, friction and elastic load; drive and effects are stepped here.
+"""Simulate joints with MuJoCo: it simulates rotor, friction and elastic load; drive and effects are stepped here.
 
-It shares no equation with the first one. MuJoCo comes with `pip install 'leactl[mujoco]'` (Apache-2.0).
+It shares no equation with `stepped`. MuJoCo comes with `pip install 'leactl[mujoco]'` (Apache-2.0).
 """
 
 import math
@@ -48,7 +48,7 @@ def simulate(runs: Sequence[JointRun]) -> list[JointSignals]:
 
 
 def model_text(run: JointRun) -> str:
-    """Text of the joint as an MJCF model."""
+    """Return the joint as the text of an MJCF model."""
     specimen, load, geared, play = run.specimen, "", "", ""
     share, rotor = run.parameter("joint_elasticity", "share"), specimen.rotor_inertia
     if share:
@@ -137,7 +137,7 @@ class _Drive:
         self.before = self.mean = self.logged = 0.0
 
     def reference(self, current: float, velocity: float) -> float:
-        """Current reference for the next sample [A]."""
+        """Return the current reference for the next sample [A]."""
         if not self._servo:
             return current
         error = velocity - self._lagging
@@ -148,7 +148,7 @@ class _Drive:
         return unlimited
 
     def step(self, reference: float, part: int, speed: float) -> float:
-        """Current that flows [A] after a step."""
+        """Return the current [A] that flows after a step."""
         if not self._log.holds:
             reference = self.before + (reference - self.before) * (part + 1) / STEPS_PER_SAMPLE
         self._delayed.append(reference)
@@ -185,7 +185,7 @@ class _Effects:
         self._step = 1.0 / run.specimen.machine.rate / STEPS_PER_SAMPLE
 
     def torque(self, current: float, angle: float, speed: float, time: float) -> float:
-        """Torque on the rotor [N*m]."""
+        """Return the torque on the rotor [N*m]."""
         total = self._run.specimen.torque_constant * current
         for name, parameters in self._names.items():
             if name == "saturation":
@@ -210,7 +210,7 @@ class _Effects:
         return total if self.geared else total - self.load_torque(angle)
 
     def load_torque(self, angle: float) -> float:
-        """Load torque that opposes the joint at an angle, friction excluded [N*m]."""
+        """Return the load torque [N*m] that opposes the joint at an angle, without friction."""
         total = 0.0
         for name, parameters in self._names.items():
             if name == "gravity_load":
@@ -224,19 +224,20 @@ class _Effects:
         return total
 
     def friction(self, angle: float, speed: float, time: float) -> float:
-        """Dry friction of MuJoCo's joint [N*m]; zero with presliding, whose friction is part of `torque`."""
+        """Return the dry friction of MuJoCo's joint [N*m]; zero with presliding, whose friction is part of `torque`."""
         return 0.0 if "presliding" in self._names else self.level(angle, speed, time)
 
     def damping(self, time: float) -> float:
-        """Viscous damping of MuJoCo's joint [N*m*s/rad]."""
-        return self._run.specimen.viscous_damping * self._fresh(time)
+        """Return the viscous damping of MuJoCo's joint [N*m*s/rad]."""
+        return self._run.specimen.viscous_damping * self._run_in_factor(time)
 
-    def _fresh(self, time: float) -> float:
+    def _run_in_factor(self, time: float) -> float:
         parameters = self._names.get("friction_run_in")
         return 1.0 if parameters is None else 1.0 + parameters["excess"] * math.exp(-time / parameters["time_constant"])
 
     def level(self, angle: float, speed: float, time: float) -> float:
-        level = self._run.specimen.coulomb_friction * self._fresh(time)
+        """Return the friction of the sliding joint [N*m]."""
+        level = self._run.specimen.coulomb_friction * self._run_in_factor(time)
         for name, parameters in self._names.items():
             if name == "stribeck":
                 level *= 1.0 + parameters["breakaway_ratio"] * math.exp(-abs(speed) / parameters["stribeck_velocity"])
@@ -250,11 +251,11 @@ class _Effects:
         return level
 
     def encoder(self, angle: float) -> float:
-        """Angle as the encoder reads it [rad]."""
+        """Return the encoder's reading of an angle [rad]."""
         parameters = self._names.get("encoder_eccentricity")
         return angle if parameters is None else angle + parameters["amplitude"] * math.sin(angle + parameters["phase"])
 
     def encoder_slope(self, angle: float) -> float:
-        """Ratio of the encoder's velocity to the rotor's."""
+        """Return the ratio of the encoder's velocity to the rotor's."""
         parameters = self._names.get("encoder_eccentricity")
         return 1.0 if parameters is None else 1.0 + parameters["amplitude"] * math.cos(angle + parameters["phase"])

@@ -27,18 +27,18 @@ class DrawnEffect:
 
 
 def listed_rules() -> dict[str, Mapping[str, Any]]:
-    """Rules for the effects of the vocabulary that a joint may have, by name."""
+    """Return the rules for the effects of the vocabulary that a joint may have, by name."""
     return {name: rule for name, rule in package_yaml("sizes.yaml").items() if name != "unlisted"}
 
 
 def unlisted_rules() -> Mapping[str, Mapping[str, Any]]:
-    """Rules for the effects that are not in the vocabulary, by name."""
+    """Return the rules for the effects that are not in the vocabulary, by name."""
     rules: Mapping[str, Mapping[str, Any]] = package_yaml("sizes.yaml")["unlisted"]
     return rules
 
 
 def showable_effects(machine: JointMachine) -> list[str]:
-    """Names of the effects of the vocabulary that a machine of this kind may have and its channels can show."""
+    """Return the names of the effects of the vocabulary that this machine may have and its channels can show."""
     return [
         name
         for name, rule in listed_rules().items()
@@ -47,12 +47,12 @@ def showable_effects(machine: JointMachine) -> list[str]:
 
 
 def indistinguishable_effects(name: str) -> list[str]:
-    """Names of the effects that no record of a free joint without a voltage can distinguish from this one."""
+    """Return the names of the effects that no record of a free joint without a voltage can tell from this one."""
     return list(listed_rules()[name].get("alike", [])) if name in listed_rules() else []
 
 
 def excluded_effects(name: str) -> list[str]:
-    """Names of the effects that are not drawn together with this one: they exclude each other or are equivalent."""
+    """Return the names of the effects that are not drawn with this one: they exclude each other or are equivalent."""
     return [*indistinguishable_effects(name), *listed_rules()[name].get("not_beside", [])]
 
 

@@ -57,7 +57,7 @@ def write_run(folder: Path, case: str, run: JointRun, signals: JointSignals) -> 
 
 
 def logged_columns(run: JointRun, signals: JointSignals) -> dict[str, Array]:
-    """Channels that a log may have, by name, with noise and rounding."""
+    """Return the channels that a log may have, by name, with noise and rounding."""
     machine, draw = run.specimen.machine, np.random.default_rng([run.seed, 2])
     count, reference = len(signals.angle), signals.reference
     columns = {
@@ -74,7 +74,7 @@ def logged_columns(run: JointRun, signals: JointSignals) -> dict[str, Array]:
 def key_entry(
     specimen: Specimen, kind: str, effects: tuple[DrawnEffect, ...], strength: str | None, machine: str, simulator: str
 ) -> dict[str, Any]:
-    """Entry of the key for a case; effects outside the vocabulary count as `unknown`."""
+    """Return the key's entry for a case; effects outside the vocabulary count as `unknown`."""
     is_outside_vocabulary = kind == "unknown"
     names = [drawn.name for drawn in effects]
     return {
@@ -87,5 +87,5 @@ def key_entry(
         "alike": {name: indistinguishable_effects(name) for name in names if indistinguishable_effects(name)},
         "machine": machine,
         "simulator": simulator,
-        "ratios_to": "torque_constant",  # free runs without torque or voltage tell no torque, only torques in currents
+        "ratios_to": "torque_constant",  # free runs without torque or voltage only show torques as currents
     }

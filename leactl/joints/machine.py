@@ -48,7 +48,7 @@ class JointMachine:
         return self.coulomb_friction + self.viscous_damping * self.speed
 
     def scale(self, name: str) -> float:
-        """Scale by name, in multiples of which `sizes.yaml` declares the sizes of effects."""
+        """Return a scale by name; `sizes.yaml` declares the sizes of effects in multiples of it."""
         scales = {
             "1": 1.0,
             "friction": self.friction,
@@ -74,7 +74,7 @@ class Specimen:
     coulomb_friction: float
 
     def true_base(self) -> dict[str, float]:
-        """The true parameters under the names of a model file."""
+        """Return the true parameters under the names of a model file."""
         return {name: getattr(self, name) for name in SPREADS} | {"back_emf_constant": self.torque_constant}
 
 
@@ -117,7 +117,7 @@ def draw_specimen(draw: Generator, machine: JointMachine) -> Specimen:
 
 
 def nominal_text(machine: JointMachine) -> str:
-    """Text of the nominal model file, which is stored with the runs."""
+    """Return the text of the nominal model file, which is stored with the runs."""
     return f"""\
 name: {machine.kind}
 torque_constant: {machine.torque_constant:.6g}  # N*m/A
@@ -137,12 +137,12 @@ def logarithmic(draw: Generator, low: float, high: float) -> float:
 
 
 def kinds() -> Mapping[str, Mapping[str, tuple[float, float]]]:
-    """Limits of the drawn parameters of each kind of machine."""
+    """Return the limits of the drawn parameters of each kind of machine."""
     limits: Mapping[str, Mapping[str, tuple[float, float]]] = package_yaml("machines.yaml")
     return limits
 
 
 @cache
 def package_yaml(name: str) -> Any:
-    """Content of a YAML file of this package."""
+    """Return the content of a YAML file of this package."""
     return yamlfile.parse((resources.files(__package__) / name).read_text(encoding="utf-8"), name).data

@@ -37,7 +37,7 @@ class JointRun:
     seed: int
 
     def parameter(self, effect: str, name: str, otherwise: float = 0.0) -> float:
-        """A parameter of an effect; `otherwise`, the value without effect, if the run does not have this effect."""
+        """Return a parameter of an effect, or `otherwise`, its value without effect, if the run lacks the effect."""
         for drawn in self.effects:
             if drawn.name == effect:
                 return drawn.parameters[name]
@@ -54,7 +54,7 @@ class JointRun:
 class JointSignals:
     """Signals of the drive at the end of every sample, without noise."""
 
-    reference: Array  # A, that acted in the sample
+    reference: Array  # A, held in the sample
     current: Array  # A, mean over a sample
     velocity: Array  # rad/s, filtered
     angle: Array  # rad, as the encoder reads it

@@ -1,4 +1,4 @@
-"""The first simulator: all runs as lanes of arrays, stepped by Euler's method, with each rotor stuck or sliding."""
+"""Simulate joints by Euler's method: all runs are lanes of arrays, and each rotor sticks or slides."""
 
 from collections.abc import Callable, Sequence
 
@@ -26,7 +26,7 @@ def simulate(runs: Sequence[JointRun]) -> list[JointSignals]:
 
 
 def padded(runs: Sequence[JointRun], quantity: str, longest: int) -> Array:
-    """A reference of all runs, shape (samples, lanes); zero after the end of a run."""
+    """Return a reference of all runs, shape (samples, lanes); zero after the end of a run."""
     references = np.zeros((longest, len(runs)))
     for lane, run in enumerate(runs):
         reference = run.reference_or_zeros(getattr(run.program, quantity))
@@ -228,7 +228,7 @@ class JointLanes:
         return speed, np.where(touches, meshed_speed, free_load_speed), np.where(pressed, self.twist, twist), rotation
 
     def _uneven(self, angle: Array, speed: Array) -> Array:
-        """Factor on Coulomb friction at an angle and a speed."""
+        """Return the factor on Coulomb friction at an angle and a speed."""
         is_burst = np.sin(self.burst_rate * self.time + self.burst_phase) > BURST_SHARE
         factor = 1.0 + self.breakaway * np.exp(-np.abs(speed) / self.stribeck_velocity) + self.burst * is_burst
         factor *= 1.0 + self.asymmetry * np.sign(speed)
@@ -241,5 +241,5 @@ def reduced_by_friction(speed: Array, largest_change: Array) -> Array:
 
 
 def wave(effect: Parameter, name: str) -> tuple[Array, Array, Array]:
-    """Amplitude, order and phase of a periodic effect, for every lane."""
+    """Return amplitude, order and phase of a periodic effect, for every lane."""
     return effect(name, "amplitude"), effect(name, "order", 1.0), effect(name, "phase")
