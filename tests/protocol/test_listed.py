@@ -30,7 +30,10 @@ def test_a_list_shows_what_the_plans_have():
 
 
 def test_a_list_imports_neither_numpy_nor_pydantic():
-    code = "import sys; from leactl.protocol.shipped import listed_protocols; listed_protocols(); print({*LIBRARIES} & {*sys.modules})"
+    code = (
+        "import sys; from leactl.protocol.shipped import listed_protocols; "
+        "listed_protocols(); print({*LIBRARIES} & {*sys.modules})"
+    )
     code = code.replace("LIBRARIES", "('numpy', 'pydantic')")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"
