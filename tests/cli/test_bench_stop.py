@@ -26,7 +26,7 @@ from leactl.driver.contract import Confirmation
 from leactl.runner import runs_underway
 with runs_underway.announced(sys.argv[1], "rig.yaml", "hold", needed=True) as announcement:
     print("held", flush=True)
-    while not announcement.asked():
+    while not announcement.stop_cause():
         time.sleep(0.01)
     if sys.argv[2] == "unsafe":
         announcement.tell_safe({"drive": Confirmation(False, "no answer"), "supply": Confirmation(True, "off")})
