@@ -44,6 +44,6 @@ def test_a_name_that_was_not_given_is_an_error(template):
 
 
 def test_a_terminal_needs_no_templates():
-    rooms = ["gap", "gap_demo", "run_progress", "notebook", "run_page", "run_plot", "datasheet.page", "web.feed"]
+    rooms = ["gap_text", "gap_demo", "run_progress", "notebook", "run_page", "run_plot", "datasheet.page", "web.feed"]
     told = f"import sys, leactl.report.{', leactl.report.'.join(rooms)}; print('jinja2' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", told], check=True, capture_output=True, text=True).stdout == "False\n"
