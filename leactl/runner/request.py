@@ -50,6 +50,11 @@ class Request:
         return self.bench.emulated is not None and not self.served
 
     @property
+    def keeps_wall_time(self) -> bool:
+        """Whether the run takes as long as it says: not on a bench emulated in this process, unless asked for."""
+        return self.realtime or not self.in_process
+
+    @property
     def latch(self) -> Latch:
         """The trip latch of the bench."""
         return latch.of(self.bench, self.bench_document.name, self.in_process)

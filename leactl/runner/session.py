@@ -1,9 +1,10 @@
 """One run from checked inputs to a closed file: opens the bench, runs the loop, and always ends in the same order.
 
-The order at the end does not depend on the cause, and nothing that may fail or wait comes before the safety of people.
-First the supervisor makes the devices safe (test drive, load drive, the rest). Then a trip is latched, the view is
-closed, the file is closed with its status, and the devices are closed. A watchdog process acts if this fails, until the
-devices are safe.
+Once there is a run file, the order at the end does not depend on the cause, and nothing that may fail or wait comes
+before the safety of people. First the supervisor makes the devices safe (test drive, load drive, the rest). Then a
+bench that ended out of order is latched, the view is closed, the file is closed with its status, and the devices are
+closed. Without a run file no setpoint has been sent: the devices are made safe and closed. A watchdog process acts if
+this fails, until the devices are safe.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -50,7 +51,7 @@ class RunContext:
     bench: Bench
     windings: Windings
     supervisor: Supervisor
-    watchdog: NoWatchdog
+    watchdog: NoWatchdog  # or a `Watchdog`, derived from it, if the run keeps wall time
     latch: Latch | OpenLatch  # set by a trip
     control: RunControl
     watch: Watch
@@ -59,11 +60,11 @@ class RunContext:
 
 
 class SafeEnd(NamedTuple):
-    """How a run ended, once its devices were made safe."""
+    """How a run ended, after every device was asked to be safe."""
 
-    safe: Mapping[str, Confirmation]
-    error: BaseException | None  # that ended the run
-    out_of_order: bool  # whether the bench was latched
+    confirmations: Mapping[str, Confirmation]  # by device, also of one that did not confirm
+    error: BaseException | None  # that ended the run early
+    out_of_order: bool  # whether the bench has to be latched for it
 
 
 def execute(
@@ -106,7 +107,7 @@ def execute(
             request, bench, supervisor, stays_on = admit(request, windings)
             for source in (announcement.stop_cause, *stops):
                 stop.add_source(source)
-            with windings.remembered(announcement.renew):
+            with windings.remembered(before_writing=announcement.renew):
                 bench.open()
                 try:
                     operator_input = OperatorInput(partial(_pause_wanted, announcement, pauses), announcement.remarks)
@@ -132,7 +133,9 @@ def execute(
 
 
 def _opened_latch(request: Request, until_end: ExitStack) -> Latch | OpenLatch:
-    """Return the latch, opened before the first move if the run has a watchdog; that of a rehearsal is not opened.
+    """Return the latch, opened before the first move if the run keeps wall time.
+
+    An open latch can be set without a free descriptor or room on the disk.
 
     Parameters
     ----------
@@ -142,20 +145,16 @@ def _opened_latch(request: Request, until_end: ExitStack) -> Latch | OpenLatch:
     ------
     LeactlError : the latch cannot be opened.
     """
-    if not _has_watchdog(request):
+    if not request.keeps_wall_time:
         return request.latch
     latch = OpenLatch(request.latch)
     until_end.callback(latch.close)
     return latch
 
 
-def _has_watchdog(request: Request) -> bool:
-    return request.realtime or not request.in_process
-
-
 def _watchdog_for(request: Request, locks: Sequence[int]) -> AbstractContextManager[NoWatchdog]:
-    """Return the run's watchdog; it gets no devices that are emulated in this process, which it cannot reach."""
-    if not _has_watchdog(request):
+    """Return the watchdog of a run that keeps wall time; it cannot reach devices that are emulated in this process."""
+    if not request.keeps_wall_time:
         return nullcontext(NoWatchdog())
     return started_watchdog(request.bench, [] if request.in_process else request.devices, locks, request.latch)
 
@@ -165,10 +164,12 @@ def _run(context: RunContext) -> Outcome:
     try:
         recording, loop = _prepare_recording(context)
     except BaseException:
-        safe = context.supervisor.make_safe()
-        if unsafe := unconfirmed_devices(safe):
-            context.watchdog.take_over(unsafe)
-        context.announcement.tell_safe(safe)
+        confirmations = context.supervisor.make_safe()
+        doubt = unconfirmed_devices(confirmations)
+        context.windings.end(confirmed=not doubt)
+        if doubt:
+            context.watchdog.take_over(doubt)
+        context.announcement.tell_safe(confirmations)
         raise
     with _view_of(context.watch, recording.progress):
         error = _run_loop(context, recording, loop)
@@ -187,8 +188,7 @@ def _prepare_recording(context: RunContext) -> tuple[Recording, Loop]:
     writer = writer_of(request, bench)
     context.watchdog.tell_recording(writer.path)
     context.announcement.tell(run=str(writer.path.resolve()))
-    keeps_wall_time = request.realtime or not request.in_process
-    flush = ThreadedFlush(writer) if keeps_wall_time else InlineFlush(writer)
+    flush = ThreadedFlush(writer) if request.keeps_wall_time else InlineFlush(writer)
     progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
     if request.lines is not None:
         request.lines.begin(progress, run=str(writer.path), protocol=plan.name, bench=request.bench.name)
@@ -219,22 +219,22 @@ def _make_safe_and_latch(context: RunContext, error: BaseException | None, run_p
     error : what ended the loop early.
     """
     watchdog = context.watchdog
-    watchdog.allow_end()
-    safe = context.supervisor.make_safe()
-    unsafe = unconfirmed_devices(safe)
-    context.windings.end(confirmed=not unsafe)
-    if unsafe:
-        watchdog.take_over(unsafe)
+    watchdog.allow_end()  # it still watches, and bears the longer silence that making safe may take
+    confirmations = context.supervisor.make_safe()
+    doubt = unconfirmed_devices(confirmations)
+    context.windings.end(confirmed=not doubt)
+    if doubt:
+        watchdog.take_over(doubt)
     else:
         watchdog.dismiss()
-    if watchdog.verdict():
+    if watchdog.verdict():  # why it stopped the run, if it did; readable after its end
         error = joined(SafetyTrip(watchdog.verdict()), error)
-    error = with_unconfirmed(error, safe)
-    out_of_order = error is not None and (bool(unsafe) or is_out_of_order(error))
+    error = with_unconfirmed(error, confirmations)
+    out_of_order = error is not None and (bool(doubt) or is_out_of_order(error))
     if error is not None and out_of_order:
         _set_latch(context.latch, error, run_path)
-    context.announcement.tell_safe(safe)
-    return SafeEnd(safe, error, out_of_order)
+    context.announcement.tell_safe(confirmations)
+    return SafeEnd(confirmations, error, out_of_order)
 
 
 def _close_file(context: RunContext, recording: Recording, loop: Loop, end: SafeEnd) -> Outcome:
@@ -249,7 +249,7 @@ def _close_file(context: RunContext, recording: Recording, loop: Loop, end: Safe
     for text in flush.warnings():  # of the last flush, after the last cycle
         writer.event(loop.time, "warning", "recorder", text)
         progress.warnings.append(text)
-    for name, confirmation in end.safe.items():
+    for name, confirmation in end.confirmations.items():
         level = "info" if confirmation.safe else "error"
         writer.event(loop.time, level, name, f"safe state: {confirmation.detail}")
     for note in notes:
@@ -269,7 +269,7 @@ def _close_file(context: RunContext, recording: Recording, loop: Loop, end: Safe
         status=status,
         reason=reason,
         error=error,
-        safe=end.safe,
+        safe=end.confirmations,
         duration_s=loop.time,
         overruns=loop.overruns,
         notes=[*notes, *(f"warning: {text}" for text in progress.warnings)],

@@ -10,11 +10,14 @@ import pytest
 from leactl_plugins.ads1115.driver import Ads1115
 from leactl_plugins.elmo_can.driver import ElmoCan
 
+from leactl.driver.contract import Confirmation
 from leactl.emulation.wires.buses import EmulatedI2cBus
 from leactl.errors import DeviceError, InputError, SafetyTrip
 from leactl.runfile.write import writer
 from leactl.runfile.write.writer import RecordingFailed
 from leactl.runner.flushing import ThreadedFlush
+from leactl.runner.thermal_admission import Windings
+from leactl.safety.supervisor import Supervisor
 from tests.cli.terminal import leactl
 from tests.latches import latch_of, trip_of
 from tests.runner.conftest import SPIN
@@ -153,6 +156,26 @@ def test_a_directory_that_cannot_be_made_is_an_input_fault(spin, tmp_path, place
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(InputError, match="cannot create the run file"):
         spin(out=tmp_path / place)
+
+
+@pytest.mark.parametrize("safe", [False, True])
+def test_a_winding_counts_as_after_a_crash_where_a_drive_was_not_confirmed_safe_before_the_run_had_a_file(
+    spin, tmp_path, monkeypatch, safe
+):
+    kept = []
+
+    class KeptWindings(Windings):  # as on a bench of devices
+        def __init__(self, bench, devices, actuator, _emulated_here, cold):
+            super().__init__(bench, devices, actuator, emulated_here=False, cold=cold)
+            kept.append((bench, devices, actuator))
+
+    monkeypatch.setattr("leactl.runner.session.Windings", KeptWindings)
+    monkeypatch.setattr(Supervisor, "make_safe", lambda _self: {"drive": Confirmation(safe, "as it answered")})
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(InputError, match="cannot create the run file"):
+        spin(out=tmp_path / "file")
+    known = Windings(*kept[0], emulated_here=False).recalled["test"].known
+    assert ("ended without a word" in known) is not safe, known
 
 
 # -- signals -----------------------------------------------------------------------------------------------------------

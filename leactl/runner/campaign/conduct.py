@@ -174,7 +174,7 @@ class _Conductor:
     def _pace(self) -> float:
         """Return the wall seconds per second of the bench's clock over the finished runs; NaN while none is known."""
         request = self._pending[0].request
-        if request.realtime or not request.in_process:
+        if request.keeps_wall_time:
             return 1.0
         finished = self.journal.finished.values()
         bench_s = sum(run.bench_s for run in finished)
