@@ -14,8 +14,8 @@ from leactl.model.nominal import Model
 class VoltageLimit(Effect):
     """A drive at the end of its voltage.
 
-    A voltage U drives the stall current U / R through a motor at rest, and none at the no-load speed U / K. That is the
-    steady state, without inductance.
+    A voltage U drives the stall current U / R through a motor at rest, and none at the no-load speed U / K, K being the
+    back-EMF constant. Between them the current falls in a straight line: the steady state, without inductance.
     """
 
     name = "voltage_limit"
@@ -23,7 +23,9 @@ class VoltageLimit(Effect):
     shaped = True
     limits_current = True
     refined = 2
-    # stall current, current left at the highest speed, that speed: runs near it determine the second, not the first
+    # Stall current, current left at the highest speed of the runs, and that speed, in `form_scales`. Runs near that
+    # speed determine the current left there well and the stall current badly; a no-load speed would mix both errors.
+    # The speed has one value and is never refined.
     forms = tuple(product((0.7, 1.0, 1.5, 2.5, 5.0, 10.0), (0.06, 0.085, 0.12, 0.17, 0.24, 0.34, 0.48, 0.68), (1.0,)))
     form_scales = ("highest current", "highest current", "highest speed")
 
@@ -64,9 +66,11 @@ def unloaded_speed(form: Form) -> float:
 
 
 def within_voltage(current: Array, velocity: Array, stall_current: float, no_load_speed: float) -> Array:
-    """Return the current [A] nearest to the one asked for that the voltage drives at a speed [rad/s].
+    """Return the current asked for [A], clipped to what the voltage can drive at this velocity [rad/s].
 
-    Above the no-load speed the motor brakes even where no current is asked for.
+    At rest the bounds are plus and minus `stall_current` [A]. Both shift against the velocity in proportion to it, so
+    that the upper one is zero at `no_load_speed` [rad/s]. Above that speed the motor brakes even where no current is
+    asked for.
     """
-    drop = stall_current * velocity / no_load_speed
-    return np.asarray(np.clip(current, -stall_current - drop, stall_current - drop), np.float64)
+    by_back_emf = stall_current * velocity / no_load_speed  # A, K velocity / R
+    return np.asarray(np.clip(current, -stall_current - by_back_emf, stall_current - by_back_emf), np.float64)

@@ -112,11 +112,11 @@ class Network:
         return np.sqrt(means_after_edges(fast.time, speed**2, self.clock.time))
 
     def _start(self) -> Array:
-        """Temperatures at the start, from which the first samples come out as they were measured on average.
+        """Return the temperatures [degC] of winding, housing and further body at the start, shape (3,).
 
-        The camera reads a fraction of the rise above ambient, which is undone first. A further body is not measured: in
-        a heated run it starts as the housing, in any other, which may begin warm, at the temperature with which those
-        of the whole run come out best.
+        Winding and housing start so that the means of their first readings come out, with the camera's fraction of the
+        rise above ambient undone. A further body is not measured. In a heated run it starts as warm as the housing. Any
+        other run may begin warm: there the start of the body is fitted to the readings of the whole run.
         """
         count = min(
             max(1, round(START_SHARE * winding_time_constant(self.job.plant.model) / self.clock.interval)),
@@ -131,10 +131,12 @@ class Network:
         return self._measured_start(read, kept, self._excess_of_further_body(start, kept) * FURTHER_BODY)
 
     def _measured_start(self, read: Array, kept: Sequence[Array], excess: Array) -> Array:
-        """Return the start from which the first readings, shape (2, samples), come out on average.
+        """Return the start [degC], shape (3,), from which the means of the first readings come out.
 
-        kept : shape (2, 2) each, winding and housing at each of these samples over winding and housing at the start.
-        excess : K, of the nodes above a start at which a further body is as warm as the housing.
+        read : degC, shape (2, samples), of winding and housing.
+        kept : for each sample, shape (2, 2), K/K: what 1 K more of winding or housing at the start (columns) leaves in
+            winding and housing (rows); a further body starts as warm as the housing.
+        excess : K, shape (3,), by which a further body starts warmer than the housing; zero for the other nodes.
         """
         start = np.mean(read, axis=1)
         for _ in range(2):  # one pass is exact but for heat that depends on the temperature
@@ -145,25 +147,28 @@ class Network:
     def _excess_of_further_body(self, start: Array, kept: Sequence[Array]) -> float:
         """Return the temperature of a further body above the housing's at the start [K].
 
-        It is fitted by least squares over the run. The prior is zero; its width is the housing's rise above ambient.
+        It is fitted by least squares over the run, with a Gaussian prior of mean zero. Its standard deviation is the
+        housing's rise above ambient at the start.
         """
+        # what 1 K more at the start of the body, the winding, or housing and body together (columns) gives each node
         nodes = np.column_stack([FURTHER_BODY, NODES_FROM_START])
-        responses = np.empty((self.count, 2, 3))  # of winding and housing to the body, the winding and the housing
+        responses = np.empty((self.count, 2, 3))  # K/K, of winding and housing
         for step in range(self.count):
             responses[step] = nodes[:2]
             nodes = self.decay @ nodes
         by_body, by_start = responses[:, :, 0], responses[:, :, 1:]
-        # the start moves against the body, so that the first samples come out as measured on average
-        moved_start = np.linalg.solve(np.mean(kept, axis=0), np.mean(by_body[: len(kept)], axis=0))
-        change, course = by_body - by_start @ moved_start, step_networks([self], start[None], self.count)[:, 0, :2]
-        prior = (start[1] - self.ambient[0]) ** 2
-        weighted_change, information = 0.0, 1.0
+        # 1 K of excess warms the first samples; a start lower by this (K/K) undoes that on average
+        lowered_start = np.linalg.solve(np.mean(kept, axis=0), np.mean(by_body[: len(kept)], axis=0))
+        change = by_body - by_start @ lowered_start
+        course = step_networks([self], start[None], self.count)[:, 0, :2]
+        prior_variance = (start[1] - self.ambient[0]) ** 2  # K^2
+        weighted_change, information = 0.0, 1.0  # both times the prior's variance: the 1 is the prior itself
         for node, name in enumerate(("winding_temperature", "housing_temperature")):
             readings, measured_samples = self.clock.get(name), self.clock.all_valid((name, "test"))
             noise = noise_of(readings) / self.job.plant.camera_fraction if readings is not None else 0.0
             if noise > 0.0:
                 residual = self._node_temperatures(name, slice(0, self.count)) - course[:, node]
-                weight = prior / noise**2
+                weight = prior_variance / noise**2
                 weighted_change += weight * float(change[measured_samples, node] @ residual[measured_samples])
                 information += weight * float(np.sum(change[measured_samples, node] ** 2))
         return weighted_change / information

@@ -511,13 +511,14 @@ def strength_tells_form(name: str, form: Form) -> bool:
 
 
 class LocalShape(NamedTuple):
-    """Gain about a form: that of the form + slope x - x curvature x, with x in finest steps of the search.
+    """Gain about a form to second order: gain(x) = gain(0) + slope @ x - x @ curvature @ x.
 
-    x has an entry for each refined number whose grid has two values or more.
+    x, shape (n,), moves the logarithms of n numbers of the form, in finest steps of the search. They are the refined
+    numbers whose grid has two values or more. `curvature`, (n, n), is minus half the Hessian: positive about a summit.
     """
 
     free: list[int]  # positions of these numbers
-    steps: list[float]  # finest steps, on a logarithmic scale
+    steps: list[float]  # finest step of each, as a natural logarithm
     slope: npt.NDArray[np.float64]
     curvature: npt.NDArray[np.float64]
 
@@ -527,13 +528,16 @@ def local_shape(
 ) -> LocalShape | None:
     """Measure slope and curvature of the gain about a form.
 
-    None where no number is refined, or a neighbouring form is not possible.
+    None where no refined number has two grid values, or a neighbouring form is not possible.
+
+    ratios : of neighbouring grid values of each number; 1 for one that is not refined.
     """
     name, form = candidate
     free = [index for index, ratio in enumerate(ratios) if ratio > 1.0]
     if not free:
         return None
     steps = [STEP_SHARES[-1] * math.log(ratios[index]) for index in free]
+    # the form itself, each number by one step either way, and each pair of numbers by one step each
     moves = [move for move in product((-1, 0, 1), repeat=len(free)) if sum(map(abs, move)) <= 2]
     forms = {move: scaled_form(form, dict(zip(free, map(mul, move, steps), strict=True))) for move in moves}
     gains, all_possible = gains_of(evidence, others, [(name, forms[move]) for move in moves])
@@ -541,7 +545,7 @@ def local_shape(
         return None
 
     def both_ways(move: Sequence[int]) -> tuple[float, float]:
-        """Return half the difference of the gains in both directions, and the mean fall, in which a slope cancels."""
+        """Return the slope of the gain along a move, and its fall from the form, on average over move and reverse."""
         there, back = (gains[forms[tuple(sign * part for part in move)]] for sign in (1, -1))
         return 0.5 * (there - back), gains[form] - 0.5 * (there + back)
 
@@ -550,6 +554,7 @@ def local_shape(
     curvature = np.diag([fall for _, fall in along])
     for i, j in combinations(range(len(free)), 2):
         together, opposed = (both_ways((unit_moves[i] + sign * unit_moves[j]).tolist())[1] for sign in (1, -1))
+        # the fall is c_ii + c_jj + 2 c_ij together, and c_ii + c_jj - 2 c_ij opposed
         curvature[i, j] = curvature[j, i] = 0.25 * (together - opposed)
     return LocalShape(free, steps, np.array([rise for rise, _ in along]), curvature)
 
@@ -562,8 +567,9 @@ def scaled_form(form: Form, logs: Mapping[int, float]) -> Form:
 def nearest_summit(evidence: Evidence, others: list[Candidate], candidate: Candidate, ratios: Sequence[float]) -> Form:
     """Return the form of the largest gain nearby, by Newton steps.
 
-    Where two numbers compensate each other, the points of a grid may all lie beside the ridge that leads there. No step
-    is longer than the first ones of the search in any number; the form stays where the gain is not curved downwards.
+    Where two numbers compensate each other, `refined_form` may end beside the ridge that leads to the summit. No number
+    moves further in a step than in the first steps of `refined_form`. The climb ends where the gain is not curved
+    downwards in every direction, or where a step gains nothing.
     """
     name, form = candidate
     for _ in range(MOST_ASCENTS):
@@ -571,7 +577,7 @@ def nearest_summit(evidence: Evidence, others: list[Candidate], candidate: Candi
         if local is None or np.linalg.eigvalsh(local.curvature)[0] <= 0.0:
             break
         ascent = 0.5 * np.linalg.solve(local.curvature, local.slope)
-        longest = STEP_SHARES[0] / STEP_SHARES[-1]
+        longest = STEP_SHARES[0] / STEP_SHARES[-1]  # first steps, in finest ones
         ascent *= longest / max(float(np.max(np.abs(ascent))), longest)
         logs = dict(zip(local.free, (ascent * local.steps).tolist(), strict=True))
         further = scaled_form(form, logs)
