@@ -291,7 +291,7 @@ def score_blind(
     answers: list[Path] = typer.Option([], "--answers", help="Folder of answers; by default CASES-answers."),
     processes: int = typer.Option(1, "--processes", min=1, help="How many cases are diagnosed at a time."),
     scheduler: str = typer.Option(
-        "", "--scheduler", metavar="ADDRESS", help="Work on the workers of this Dask scheduler."
+        "", "--scheduler", metavar="ADDRESS", help="Spread the work over the workers of this Dask scheduler."
     ),
     as_json: bool = AS_JSON,
 ) -> None:

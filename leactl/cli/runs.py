@@ -20,7 +20,9 @@ UNWRITTEN_S = 10.0  # without a write, after which a run that is being recorded 
 AUTO = "auto"  # value of --map that proposes a mapping
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 PROCESSES = typer.Option(1, "--processes", min=1, help="How many runs to read at a time; the answer is the same.")
-SCHEDULER = typer.Option("", "--scheduler", metavar="ADDRESS", help="Work on the workers of this Dask scheduler.")
+SCHEDULER = typer.Option(
+    "", "--scheduler", metavar="ADDRESS", help="Spread the work over the workers of this Dask scheduler."
+)
 INDEX = typer.Option(None, "--index", metavar="FILE", help="The index; by default .leactl-index.sqlite in the folder.")
 
 

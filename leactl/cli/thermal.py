@@ -62,7 +62,7 @@ def limits(
 @app.command(epilog=examples("thermal state --bench emulated"))
 def state(
     bench: str = BENCH,
-    actuator: str = typer.Option("", help="Label of the actuator under test."),
+    actuator: str = ACTUATOR,
     as_json: bool = AS_JSON,
 ) -> None:
     """Show how warm the windings of a bench may be by now, and how that is known."""

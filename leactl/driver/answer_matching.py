@@ -9,7 +9,7 @@ from dataclasses import dataclass
 # Missing answers count as lost after this time with one answer to each request. A lost answer empties the rows of this
 # time and one cycle; the supervisor allows 50 ms of silence at any rate, so that a lost answer ends no run. After a
 # longer stall, answers come in a burst and not one to a request.
-LOST_AFTER_S = 0.012
+IN_STEP_S = 0.012
 WATCH_S = 1.0  # time after an irregular answer in which answers are counted before every request
 
 
@@ -34,7 +34,7 @@ class Answers:
     While every request has its answer, nothing is counted: the next answer belongs to the next request. Once an answer
     is missing, the drive is watched: an answer then belongs to the earliest request without one, and a row takes only
     answers to its own request. A lost answer would shift all later ones for ever; therefore, once each request has
-    brought one answer for `LOST_AFTER_S`, answers that are still missing are taken for lost.
+    brought one answer for `IN_STEP_S`, answers that are still missing are taken for lost.
 
     The kinds of answers to one request come in a fixed order. By it, a frame that comes twice is noticed even if the
     drive is not watched: the last kind then comes before the other kinds of its request.
@@ -46,7 +46,7 @@ class Answers:
         self.irregular = IrregularAnswers()
         self._owed = [0] * count  # by kind, requests without an answer
         self._counted = [0] * count  # by kind, answers since the last request
-        self._too_many = False  # whether answers came unasked, until each request has its answer for `LOST_AFTER_S`
+        self._too_many = False  # whether answers came unasked, and not yet one by one for `IN_STEP_S` since
         self._unplaced = 0  # answers that are late, or in time if an earlier answer was lost
         self._in_cycle = self._begun = False
         self._watched_until = self._in_step_since = -math.inf
@@ -64,7 +64,7 @@ class Answers:
         self._in_cycle = True
 
     def _judge(self, now: float) -> None:
-        """Take missing answers for lost, or trust the count again, after `LOST_AFTER_S` with one answer per request."""
+        """Take missing answers for lost, or trust the count again, after `IN_STEP_S` with one answer per request."""
         if not any(self._owed):
             self.irregular.late += self._unplaced
             self._unplaced = 0
@@ -72,7 +72,7 @@ class Answers:
                 return
         if any(count != 1 for count in self._counted):
             self._in_step_since = now
-        elif now - self._in_step_since >= LOST_AFTER_S:
+        elif now - self._in_step_since >= IN_STEP_S:
             self.irregular.lost += sum(self._owed)
             self._owed = [0] * len(self._owed)
             self._unplaced, self._too_many = 0, False

@@ -42,7 +42,7 @@ class I2cPort:
         self.name = name
         self._bus: SmBus | None = None
         self._users = 0
-        self.repeated = Tally()  # transfers that were not acknowledged
+        self.repeated = Tally()  # repeats of transfers that were not acknowledged
 
     @property
     def connected(self) -> bool:

@@ -161,9 +161,9 @@ class SerialPort:
         self._receive(0.0)
         if not self._received or self.clock.now() - self._heard < seconds:
             return None
-        accepted = self._received[-self.longest_line :]
+        received = self._received[-self.longest_line :]
         self._forget()
-        return accepted
+        return received
 
     def wait(self, moment: float, framing: Framing | None = None) -> None:
         """Wait for a complete line, or a frame by this rule, at most until this moment on the clock.
@@ -205,8 +205,8 @@ class SerialPort:
         if not length:
             self._receive(0.0)
             length = self._frame_length(framing)
-        accepted, self._received = self._received[:length], self._received[length:]
-        return accepted or None
+        frame, self._received = self._received[:length], self._received[length:]
+        return frame or None
 
     def _frame_length(self, framing: Framing) -> int:
         """Drop noise and return the length of the complete frame at the start of the bytes; 0 if there is none."""

@@ -27,7 +27,7 @@ class GearBacklash(Effect):
     name = "gear_backlash"
     relative_to = ("rotor_inertia",)
     one_sided = True
-    explains = 0.6  # the sample at which flanks meet is known to one sample, and the torque there is large
+    explains = 0.6  # the time at which flanks meet is known to one sample, and the torque there is large
     least = 0.1  # of the inertia: a load is no loose part
     refined = 2
     forms = tuple(

@@ -1,4 +1,4 @@
-"""Curves that several effects are made of: hysteresis operators, lags and delays of sampled signals."""
+"""Curves that several effects are made of: hysteresis operators, lags, delays, limited rates."""
 
 import math
 

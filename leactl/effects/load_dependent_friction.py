@@ -25,13 +25,10 @@ class LoadDependentFriction(Effect):
         """Return a drag in proportion to shaft torque."""
         if signals.mechanical == "locked":
             current = signals.extra.get("sharp_current", signals.current)
-            return (
-                {}
-                if current is None
-                else {
-                    "drag": {"coefficient": hidden_locked_torque(current, signals.model, form[0] or LEAST_LOCKED_FORM)}
-                }
-            )
+            if current is None:
+                return {}
+            hidden = hidden_locked_torque(current, signals.model, form[0] or LEAST_LOCKED_FORM)
+            return {"drag": {"coefficient": hidden}}
         if signals.sliding is None or signals.velocity is None or signals.torque is None:
             return {}
         # the effect itself reduces a driving torque and increases a braking one

@@ -35,7 +35,7 @@ class VoltageLimit(Effect):
             return {}
         if form[1] >= form[0]:  # a current that does not fall with speed: another limit
             return {}
-        cut = within_voltage(signals.command, signals.velocity, form[0], unloaded_speed(form))
+        cut = within_voltage(signals.command, signals.velocity, form[0], no_load_speed_of(form))
         if np.array_equal(cut, signals.command):
             return {}
         response = signals.looped(cut, np.zeros_like(cut), float(cut[0]))
@@ -43,7 +43,7 @@ class VoltageLimit(Effect):
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return stall current and no-load speed."""
-        return {"stall_current": form[0], "no_load_speed": unloaded_speed(form)}
+        return {"stall_current": form[0], "no_load_speed": no_load_speed_of(form)}
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
         """Return the fitted share of the limit."""
@@ -59,7 +59,7 @@ class VoltageLimit(Effect):
         return form
 
 
-def unloaded_speed(form: Form) -> float:
+def no_load_speed_of(form: Form) -> float:
     """Return the no-load speed [rad/s] of a form; infinite where its limit does not fall with speed."""
     stall_current, left, speed = form
     return speed / (1.0 - left / stall_current) if left < stall_current else math.inf

@@ -24,7 +24,7 @@ FEWEST_IN_BIN = 8  # samples; a bin with fewer has no mean
 LEAST_FOLLOWED_SHARE = 0.5  # share of an effect's part that a variable must explain for the effect to follow it
 DRAWN_POWER_SHARE = 0.99  # share of an effect's power in the range that is drawn, before the range is widened
 MEAN_CONFIDENCE = 0.95  # two-sided confidence of a bin's mean
-LEAST_SIGN_SHARE = 0.9  # share of what the best sign explains, from which an earlier sign is preferred
+EQUAL_SHARE = 0.9  # share of what the best explanation explains, from which a simpler one is preferred
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ def best_sign(part: Array, bins: Groups, signs: Mapping[str, Array]) -> Along:
     fits = [Along("", explained_share(part, bins))]
     fits += [Along(name, explained_share(part * sign, bins)) for name, sign in signs.items()]
     most = max(fit.explained for fit in fits)
-    return next(fit for fit in fits if fit.explained >= LEAST_SIGN_SHARE * most)
+    return next(fit for fit in fits if fit.explained >= EQUAL_SHARE * most)
 
 
 def means(values: Array, bin_of_row: Groups, groups: Groups, bins: int) -> Means:
@@ -144,7 +144,7 @@ def repeats(angle: Array, periods: float, explained: Callable[[Array], float]) -
     """
     if np.ptp(angle) <= 2.0 * np.pi / periods:
         return False
-    return explained(fold_angle(angle, periods)) >= LEAST_SIGN_SHARE * explained(angle)
+    return explained(fold_angle(angle, periods)) >= EQUAL_SHARE * explained(angle)
 
 
 def periods_of(cause: Cause) -> float:

@@ -32,7 +32,7 @@ from leactl.gap.servo.effect_sets import fit_effect_sets
 from leactl.gap.servo.runs import runs_at_common_rate
 from leactl.gap.setup import SetUpFault, find_and_mend_faults
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.rig import DRIVE_CHANNELS, VOLTAGE_KIND, Array
+from leactl.gap.signals.rig import DRIVE_CHANNELS, RIG_ENTRIES, VOLTAGE_KIND, Array
 from leactl.gap.signals.setpoints import mark_setpoints, setpoint_notes
 from leactl.gap.signals.stamps import stamp_notes, stamped
 from leactl.gap.verdict.decision import LISTED_PROBABILITY, NAMED_PROBABILITY, UNKNOWN_PROBABILITY, verdict_of
@@ -63,7 +63,6 @@ LEAST_CALIBRATION_GAIN = 25.0  # weighted squares that calibration must gain for
 COURSE_POINTS = 64  # points of a voltage course
 SAME_COURSE_COSINE = 0.95  # cosine above which two voltage courses are the same; a ramp and a step have 0.87
 FURTHER_STEPS = 2  # Gauss-Newton steps after the first: most effects multiply parameters that are calibrated
-RIG_ENTRIES = ("drive_gain", "load_mass", "load_length", "load_arm_mass")  # set-up entries that tell kinds of run apart
 Progress = Callable[[str], None]
 Channel = tuple[str, str, str]  # equation or quantity, quantity or role, and mechanical set-up
 

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 FORMAT, VERSION = "leactl-gap", 1
+LEAST_GAP_FLOORS = 1.1  # floors; a smaller gap is none
 MOST_REPLAY_MISS = 6.0  # floors, largest residual of a replay of the right model
 Verdict = Literal["none", "calibration", "effect", "unknown"]
 Presence = Literal["alike", "differs", "absent", "not asked"]  # of an effect of a simulator, in the real runs

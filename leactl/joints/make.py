@@ -31,7 +31,7 @@ SIMULATORS: dict[str, Callable[[Sequence[JointRun]], list[JointSignals]]] = {
     "stepped": stepped.simulate,
     "mujoco": by_mujoco.simulate,
 }
-CASES_PER_BATCH = 20  # cases; their signals take about 100 MB
+CASES_PER_BATCH = 20  # their signals take about 100 MB
 REPEAT_LABELS = ("a", "b")
 
 

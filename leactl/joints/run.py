@@ -10,7 +10,7 @@ from leactl.joints.machine import Generator, Specimen
 from leactl.joints.programs import JointProgram
 
 Array = npt.NDArray[np.float64]
-STEPS_PER_SAMPLE = 8  # steps of a simulator in a sample
+STEPS_PER_SAMPLE = 8  # of either simulator
 
 
 @dataclass(frozen=True)

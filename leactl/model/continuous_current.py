@@ -1,4 +1,4 @@
-"""Compute the constant current that heats the hottest phase of an actuator to a limit, from its thermal parameters.
+"""Compute the constant current that heats the hottest phase of an actuator to a limit, for ever or within a time.
 
 The model has three phases, each with a third of the winding, and a housing. A constant power-invariant q-axis current
 makes the copper heat R(T) i^2, which is linear in the temperatures, so that the solution is exact. In a turning motor

@@ -5,12 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from leactl.gap.diagnosis import DiagnosisResult, Picture, Rest, Where
+from leactl.gap.diagnosis import LEAST_GAP_FLOORS, DiagnosisResult, Picture, Rest, Where
 from leactl.gap.verdict.shrinkage import Trace
 from leactl.gap.verdict.where import Profile
 from leactl.report.chart import AxisRange, Bins, CaptionedChart, Layer, LineMarks, chart
 from leactl.report.gap_words import (
-    NEAR_FLOOR,
     after_calibration,
     bare_units,
     channel_label,
@@ -49,7 +48,7 @@ def channel_cards(answer: DiagnosisResult) -> list[Card]:
     )
     for channel in [*filter(open_gap, answer.where), *closed]:
         key = (channel.quantity, channel.role, channel.mechanical)
-        if key not in traces or max(channel.nominal_rms, channel.calibrated_rms) < NEAR_FLOOR * channel.floor_rms:
+        if key not in traces or max(channel.nominal_rms, channel.calibrated_rms) < LEAST_GAP_FLOORS * channel.floor_rms:
             continue
         figures = [trace_figure(traces[key])]
         if key in profiles and len(profiles[key].low):

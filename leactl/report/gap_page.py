@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from leactl.gap.diagnosis import Cause, DiagnosisResult, Rest, Shrinkage, SimulatorAnswer
+from leactl.gap.verdict.decision import NAMED_PROBABILITY
 from leactl.report.gap_figures import channel_cards, effect_cards, rest_cards
 from leactl.report.gap_simulator import simulator_sentences, simulator_tables
 from leactl.report.gap_words import (
     CLOSES_NOTHING,
     MENDED_FIRST,
-    PRESENT_PROBABILITY,
     after_calibration,
     bare_units,
     calibration_rows,
@@ -98,7 +98,7 @@ def cause_content(cause: Cause, closes_no_gap: bool) -> dict[str, Any]:
         "effect": cause.effect,
         "probability": probability_text(cause.probability),
         "width": f"{100 * probability:.4g}%",
-        "weak": closes_no_gap or probability < PRESENT_PROBABILITY,
+        "weak": closes_no_gap or probability < NAMED_PROBABILITY,
         "meaning": effect_meaning(cause.effect),
         "parameters": [(parameter.name, parameter_text(parameter)) for parameter in cause.parameters],
         "of_setup": cause.family == "setup",

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 from leactl.gap.diagnosis import (
+    LEAST_GAP_FLOORS,
     MOST_REPLAY_MISS,
     CalibratedParameter,
     Cause,
@@ -17,6 +18,7 @@ from leactl.gap.diagnosis import (
     SimulatorFloor,
     Where,
 )
+from leactl.gap.verdict.decision import NAMED_PROBABILITY
 from leactl.report.terminal import number
 from leactl.vocabulary.effect import effect_definition, effect_names
 from leactl.vocabulary.setup_fault import setup_faults
@@ -25,8 +27,6 @@ from leactl.vocabulary.variable import VARIABLES
 CLOSES_NOTHING = "No gap of held-out runs shrinks with these effects by more than chance."
 MENDED_FIRST = "Gaps are of the runs once the set-up is mended."
 TIME = "time"  # name of time in `Rest.depends_on`
-PRESENT_PROBABILITY = 0.5  # from which a cause is said to act
-NEAR_FLOOR = 1.1  # multiple of the floor below which a channel has no gap
 VERDICTS = {
     "none": "The model explains these runs; no gap is left.",
     "calibration": "Other parameters explain these runs; no effect is missing.",
@@ -68,7 +68,7 @@ def claimed_causes(causes: Sequence[Cause]) -> list[str]:
     names: list[str] = []
     claimed: set[str] = set()
     for cause in causes:
-        if cause.probability < PRESENT_PROBABILITY or cause.effect in claimed:
+        if cause.probability < NAMED_PROBABILITY or cause.effect in claimed:
             continue
         members = [cause.effect, *cause.indistinguishable_from]
         claimed.update(members)
@@ -100,7 +100,7 @@ def channel_label(channel: Channel | SimulatorFloor, channels: Sequence[Channel 
 
 def open_gap(channel: Channel) -> bool:
     """Return whether the calibrated model leaves a gap in this channel."""
-    return channel.calibrated_rms > 0.0 and channel.calibrated_rms >= NEAR_FLOOR * channel.floor_rms
+    return channel.calibrated_rms > 0.0 and channel.calibrated_rms >= LEAST_GAP_FLOORS * channel.floor_rms
 
 
 def largest_first(channels: Sequence[Shrinkage]) -> list[Shrinkage]:
@@ -115,7 +115,7 @@ def closed_by_calibration(channels: Sequence[Shrinkage]) -> list[Shrinkage]:
     closed = [
         channel
         for channel in channels
-        if not open_gap(channel) and channel.nominal_rms >= NEAR_FLOOR * channel.floor_rms
+        if not open_gap(channel) and channel.nominal_rms >= LEAST_GAP_FLOORS * channel.floor_rms
     ]
     return sorted(closed, key=lambda channel: -channel.nominal_rms / max(channel.floor_rms, 1e-300))
 

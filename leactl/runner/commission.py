@@ -35,7 +35,7 @@ SHORTENING_FACTOR = 0.8  # to the next shorter heat, while the forecast admits n
 SHORTEST_HEAT_S = 60.0  # that narrows a motor file
 HEATING_CURRENT_SHARE = 0.5  # of the largest current, above which a reading counts as heating
 MOST_HEAT_GROWTH = 3.0  # longest next heat over the longest so far: a body that warms later shows within it
-COOLING_TIME_CONSTANTS = 2.0  # of the housing, for which a short heat cools
+COOLING_TIME_CONSTANTS = 2.0  # of the housing, for which a bench cools after a short heat
 
 Prepare = Callable[[Mapping[str, str]], Request]
 """Returns the request of the protocol, with these parameters replaced."""
@@ -106,12 +106,12 @@ def commission(options: CommissionOptions, file: Path) -> Commissioned:
     if options.dry_run:
         request = whole if state.admitted else _shortened(options, state)
         dry_run(_with_motor_file(request, state.file))
-        state.next_heating_s = _heating_time(request)
+        state.next_heating_s = _planned_heating_s(request)
         return state
     while not state.admitted and len(paths) < options.most - 1:
         request = _shortened(options, state)
         paths.append(_run_heat(request, state, options, len(paths)))
-        heats = [*state.heats, Heat(paths[-1], _heating_time(request), whole=False)]
+        heats = [*state.heats, Heat(paths[-1], _planned_heating_s(request), whole=False)]
         state = _store_motor(whole, _narrowed_motor(whole, shipped, paths, options), paths, file)
         state.heats = heats
         options.tell(_state_text(state))
@@ -120,7 +120,10 @@ def commission(options: CommissionOptions, file: Path) -> Commissioned:
             f"protocol '{whole.plan.name}' is not admitted after {len(paths)} heated runs, with {options.most} at most:"
             f" {_state_text(state)}; lower its current, tell the camera's own accuracy, or allow more --runs"
         )
-    state.heats = [*state.heats, Heat(_run_heat(whole, state, options, len(paths)), _heating_time(whole), whole=True)]
+    state.heats = [
+        *state.heats,
+        Heat(_run_heat(whole, state, options, len(paths)), _planned_heating_s(whole), whole=True),
+    ]
     return state
 
 
@@ -140,7 +143,7 @@ def _run_heat(request: Request, state: Commissioned, options: CommissionOptions,
     return outcome.path
 
 
-def _heating_time(request: Request) -> float:
+def _planned_heating_s(request: Request) -> float:
     """Return the duration of the heat in a request [s]."""
     return float(request.plan.parameters[HEATING])
 
@@ -170,7 +173,7 @@ def _forecast_state(whole: Request, motor: Motor, file: Path | None) -> Commissi
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, cold=True)
     load = whole.bench.motors.get("load", whole.bench.motors["test"])
     forecast, limit = windings.forecast(request.plan), windings.settings.limit
-    return Commissioned(motor, file, _heating_time(request), forecast, limit, load)
+    return Commissioned(motor, file, _planned_heating_s(request), forecast, limit, load)
 
 
 def _with_motor_file(request: Request, file: Path | None) -> Request:
@@ -191,7 +194,7 @@ def _shortened(options: CommissionOptions, state: Commissioned) -> Request:
     InputError : no heat of `SHORTEST_HEAT_S` or more is admitted.
     """
     whole, passing = options.prepare({}), state.forecast.passing
-    seconds = min(_heating_time(whole), state.longest_s)
+    seconds = min(_planned_heating_s(whole), state.longest_s)
     if passing is not None:
         heating = max(whole.plan.timeline(), key=lambda row: row.duration_s if row.name == "heating" else 0.0)
         seconds = min(seconds, HEATING_TIME_SHARE * (passing.time_s - heating.start_s))
@@ -233,11 +236,11 @@ def _store_motor(whole: Request, motor: Motor, paths: Sequence[Path], file: Path
         request = _with_motor_file(whole, file)
         Windings(request.bench, request.devices, request.actuator, request.in_process, recalled=known).keep_as_found()
     state = _forecast_state(whole, load_motor(str(file))[0], file)
-    state.longest_s = MOST_HEAT_GROWTH * max(_heated_time(path) for path in paths)
+    state.longest_s = MOST_HEAT_GROWTH * max(_measured_heating_s(path) for path in paths)
     return state
 
 
-def _heated_time(path: Path) -> float:
+def _measured_heating_s(path: Path) -> float:
     """Return how long a run was heated [s]."""
     with Run.open(path) as run:
         current = run.channel("line_current")

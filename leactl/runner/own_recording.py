@@ -17,7 +17,7 @@ from leactl.runfile.publish import new_file, refuse_existing
 from leactl.runner import locks
 from leactl.runner.checked_bench import load_checked
 
-NUMBER_DIGITS = 9  # of a number: enough for single precision
+NUMBER_DIGITS = 9  # enough for single precision
 
 
 class SavedRecording(NamedTuple):

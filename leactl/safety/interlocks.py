@@ -27,7 +27,7 @@ LONGEST_STUCK_S = 86_400.0  # s, a day: a room's temperature in steps of 1 degC 
 Stuck = Annotated[
     Positive, AfterValidator(trips_by(LONGEST_STUCK_S)), Field(json_schema_extra={"maximum": LONGEST_STUCK_S})
 ]
-# between two readings, well below the period of any loop: a rate above a range over this time never trips
+# between two readings, well below the period of any loop: a limit of rate above the range over this time never trips
 SHORTEST_INTERVAL_S = 1e-4
 LARGEST_RATE = 1e7  # per second, of what no limit bounds: a thousand of any unit in `SHORTEST_INTERVAL_S`
 LARGEST_FLOOR = 0.05  # of limits.current_A, ten times the default; a drive that is off has eight times the floor

@@ -23,7 +23,7 @@ from leactl.safety.watching import Panel, Trip
 
 TORQUE_CONSTANT_LOSS = 0.1  # by hot magnets (0.1 %/K) and saturation, at the most
 CONTRADICTING_WINDOWS = 3  # in a row, that trip: a blow to the shaft may fall into two of them
-LEAST_WINDOW_CYCLES = 4  # in a window
+LEAST_WINDOW_CYCLES = 4
 STEADY_SHARE = 0.1  # share of the mean square by which a steady current may swing, or change between two windows
 GLANCE_CYCLES = 4  # every fourth cycle of a long window is checked first: if these agree plainly, the rest is skipped
 SENSED_ROLES = {"coupled": ("test", "load"), "locked": ("test",)}  # whose torques pass the sensor, by set-up

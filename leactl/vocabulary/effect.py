@@ -76,7 +76,7 @@ class EffectDefinition(BaseModel):
     faint: Size | None = None
 
     @model_validator(mode="after")
-    def _has_a_smallest_relevant_size(self) -> "EffectDefinition":
+    def _states_size_worth_knowing(self) -> "EffectDefinition":
         name, first = next(iter(self.parameters.items()))
         if self.faint is None and not (first.units in MACHINE_INDEPENDENT and first.low > 0.0):
             raise ValueError(
@@ -87,7 +87,7 @@ class EffectDefinition(BaseModel):
         return self
 
     @property
-    def smallest_relevant(self) -> Size:
+    def smallest_worth_knowing(self) -> Size:
         """The smallest size that a diagnosis should find, in the machine's own unit."""
         first = next(iter(self.parameters.values()))
         return self.faint or Size(size=first.low, units=first.units)

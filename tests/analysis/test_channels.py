@@ -168,10 +168,8 @@ def test_gain_and_phase_of_an_excitation(bench, kind):
 @pytest.mark.parametrize("kind", ["noise", "chirp", "multisine"])
 def test_the_phase_of_a_delay_is_unwrapped_alike_in_results_grid_and_plot(bench, kind):
     time, given, answer = first_order(kind, corner_hz=8.0, rate=RATE)
-    late, noise = (
-        16,
-        np.random.default_rng(5).normal(0.0, 0.3 * np.std(answer), len(time)),
-    )  # noise hides some frequencies
+    late = 16
+    noise = np.random.default_rng(5).normal(0.0, 0.3 * np.std(answer), len(time))  # hides some frequencies
     columns = {"velocity_reference": given, "torque": np.roll(answer, late) + noise}
     steps = [(kind, 1.0, float(time[-1]) + 1 / RATE, 0.0, {"role": "test"})]
     result = analyze_runs([bench.write("bespoke", time, columns, steps, protocol="name: bespoke\n")])

@@ -9,7 +9,7 @@ import pytest
 from leactl.gap.diagnose import diagnose
 from leactl.gap.signals import setpoints
 from leactl.gap.signals.setpoints import (
-    LEAST_MISS_STDS,
+    LEAST_NEXT_ROW_STDS,
     ReferenceFollowing,
     changes_between,
     follow,
@@ -152,7 +152,7 @@ def test_only_a_curve_between_rows_goes_against_the_row_that_follows(between):
     taps = np.column_stack([np.ones_like(rows), rows, *(neighbour(rows, by) for by in TAPS.tolist())])[4:-4]
     current = means[4:-4] + 0.005 * random.standard_normal(len(taps))
     shares = [weight_of_next_row(taps[part], current[part]) for part in np.array_split(np.arange(len(taps)), 3)]
-    assert (stds_against_next_row(shares) > LEAST_MISS_STDS) is between
+    assert (stds_against_next_row(shares) > LEAST_NEXT_ROW_STDS) is between
     assert stds_against_next_row([(0.0, math.inf)]) == 0.0, "rows that tell nothing"
 
 

@@ -190,9 +190,8 @@ def reason_to_leave_out(grid_hold: GridHold, means: Mapping[ChannelKey, SettledM
             return f"{key[0]} was not reached"
     for key, mean in complete_means.items():
         change = float(np.nanmax(mean.quarters) - np.nanmin(mean.quarters))
-        if key[0] != "q_axis_voltage" and change > MOST_QUARTER_CHANGE * abs(
-            mean.value
-        ):  # a voltage rises as the winding warms
+        # a voltage rises as the winding warms
+        if key[0] != "q_axis_voltage" and change > MOST_QUARTER_CHANGE * abs(mean.value):
             return f"{key[0]} was not steady"
     return ""
 

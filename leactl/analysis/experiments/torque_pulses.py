@@ -231,7 +231,7 @@ def loss_at_peak(bent: SaturationCurve, current_std: float) -> Estimate:
 
 
 def straight_up_to(bent: SaturationCurve) -> Noted[Estimate]:
-    """Estimate the lowest current at which a share `STRAIGHT` of the torque is missing; NaN where none is."""
+    """Estimate the lowest current at which a share `STRAIGHT_LOSS` of the torque is missing; NaN where none is."""
     fit = bent.line.fit
     currents = np.linspace(0.0, bent.peak, 1001)[1:]
     losses, halves = np.empty_like(currents), np.empty_like(currents)

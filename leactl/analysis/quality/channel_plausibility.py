@@ -10,12 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from leactl.analysis.quality.hanging import (
-    RepeatedReading,
-    hangs,
-    longest_repeat,
-    stands_while_companion_moves,
-)
+from leactl.analysis.quality.hanging import RepeatedReading, hangs, longest_repeat, stands_while_companion_moves
 from leactl.analysis.quality.saturation import clipping_value
 from leactl.analysis.quality.setpoint_tracking import compare_with_demand
 from leactl.analysis.quality.sign_checks import SIGN_SWAPPED

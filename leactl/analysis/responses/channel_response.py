@@ -85,9 +85,8 @@ def response_of(setpoint: Channel, channel: Channel, step: Step) -> Response | s
     spectra = method.spectra(reference, response_values)
     response = method.response(spectra)
     power = spectra.input[: len(response.frequency)]
-    around = maximum_filter1d(
-        power, 4 * POINTS_PER_RESOLVED + 1
-    )  # Hann's main lobe reaches two resolved frequencies to either side
+    # Hann's main lobe reaches two resolved frequencies to either side
+    around = maximum_filter1d(power, 4 * POINTS_PER_RESOLVED + 1)
     known = (
         (power > LEAST_POWER * power.max())
         & (power > LEAST_LINE_POWER * around)

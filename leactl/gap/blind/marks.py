@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from leactl.gap.blind.truth import Truth
+from leactl.gap.diagnosis import LEAST_GAP_FLOORS
 from leactl.gap.verdict.decision import NAMED_PROBABILITY
 from leactl.gap.verdict.withdrawal import MOST_EQUAL_RATIO
 
 LEAST_MOVED_FLOORS = 1.0  # floors; a smaller gap is hidden in noise
 EQUAL_MOVE_SHARE = 0.9  # share of the largest move from which a move is as large: two actuators measure one shaft
-LEAST_GAP_FLOORS = 1.1  # floors; an oracle finds no smaller gap to close
 DUPLICATE_PARAMETER = "back_emf_constant"  # equals the torque constant in power-invariant units
 REPLACED_PARAMETERS = {"shaft_compliance": "bench.shaft_stiffness"}  # parameter of the model that an effect replaces
 PARAMETER_WITHOUT_TRUTH = "ambient_offset"  # the plant has no true value of it

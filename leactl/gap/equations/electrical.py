@@ -14,7 +14,7 @@ from leactl.gap.signals.smoothing import slope, smooth
 from leactl.gap.signals.stamps import BETWEEN_SAMPLES, TAPS, neighbour, stamp_columns
 from leactl.gap.signals.voltage_ceiling import at_ceiling
 
-MOST_SERVO_STEP_STDS = 5.0  # standard deviations of a current's noise; a servo's larger step leaves rows out
+MOST_SERVO_STEP_STDS = 5.0  # standard deviations of a current's noise; rows after a larger step of a servo are left out
 START_TIME_CONSTANTS = 8.0  # time constants of a current loop after which setpoints before the run have no influence
 PREVIOUS_SETPOINT_SHARE = 0.25  # of an interval with the previous setpoint: 0 for one setpoint, 0.5 for very many
 BUS_ZERO_PRIOR = 1.0 / 60.0  # prior error of a supply's voltage, as a share of the model's bus voltage

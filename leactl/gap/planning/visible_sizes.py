@@ -86,7 +86,7 @@ def sights(evidence: Evidence, runs: Sequence[str]) -> list[Sight]:
             needed = float(np.min(limits[name]) if sized_by_form(name) else np.median(limits[name]))
             smallest = needed if worth is None or needed < MOST_NEEDED_RATIO * worth else None
         alike = tuple(sorted(twin for pair in twins if name in pair for twin in pair if twin != name))
-        judged.append(Sight(name, smallest, worth, effect_definition(name).smallest_relevant.units, alike))
+        judged.append(Sight(name, smallest, worth, effect_definition(name).smallest_worth_knowing.units, alike))
     return judged
 
 

@@ -17,7 +17,7 @@ from leactl.gap.signals.record import WINDING, Clocked
 from leactl.gap.signals.smoothing import smooth
 
 START_SHARE = 0.3  # share of a winding's time constant in which readings determine the start
-MOST_START_SAMPLES = 20  # most samples of these readings
+MOST_START_SAMPLES = 20  # of these readings
 FED_WIDTH = 8.0  # samples, smoothing of the temperatures that give the share of the fed phases
 NODES_FROM_START = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])  # a further body begins as the housing
 FURTHER_BODY = np.array([0.0, 0.0, 1.0])

@@ -61,10 +61,7 @@ PRIORS = {
 }
 """Physical priors of the nominal model's parameters: relative standard deviations unless a unit is given."""
 # effects that cannot be fitted where no back-EMF determines the torque constant
-UNDETERMINED_GAINS = (
-    "torque_sensor_gain",
-    "current_sensor_gain",
-)
+UNDETERMINED_GAINS = ("torque_sensor_gain", "current_sensor_gain")
 TORQUE_SENSOR_EQUATIONS = {"coupled_torque", "locked_torque", "swung_torque"}  # without them the constant is held
 MOST_PRIOR_CHANGE = 1.0  # change of an identifiable parameter in fits to sound machines, over its prior
 BIAS_DOUBT_SHARE = 0.2  # share of a bias common to sound machines that remains uncertain once it is corrected

@@ -320,9 +320,8 @@ def effect_to_add(evidence: Evidence, hypothesis: Sequence[Candidate]) -> Candid
             evidence.settle([*hypothesis, candidate])
             trials.append((evidence.surprise(), candidate))
         least = min(surprise for surprise, _ in trials)
-        return next(
-            candidate for surprise, candidate in trials if surprise < least + EQUAL_FIT_DIFFERENCE
-        )  # the first of the list
+        # the first of the list
+        return next(candidate for surprise, candidate in trials if surprise < least + EQUAL_FIT_DIFFERENCE)
     return listed[0] if listed else None
 
 

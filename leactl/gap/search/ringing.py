@@ -154,5 +154,5 @@ def highest_bin(power: Array) -> tuple[int, float]:
             power[bin_index + 2 : bin_index + NEIGHBOUR_BINS + 1],
         )
         around = max(float(np.median(below)), float(np.median(above)))
-        ratios[bin_index] = power[bin_index] / around if around > 0.0 else 0.0  # without neighbours there is no ratio
+        ratios[bin_index] = power[bin_index] / around if around > 0.0 else 0.0  # quiet neighbours tell no noise
     return int(np.argmax(ratios)), float(np.max(ratios))

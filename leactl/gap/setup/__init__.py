@@ -32,7 +32,7 @@ FAULT_SEARCHES: tuple[FaultSearch, ...] = (
     find_scale_fault,
     find_clock_fault,
 )
-LEAST_MENDED_SHARE = 0.3  # smallest share of a channel's squared error on held-out runs that mending a fault removes
+LEAST_HELD_OUT_SHARE = 0.3  # smallest share of a channel's squared error on held-out runs that mending a fault removes
 MOST_MENDS = 8  # mends of one set-up
 
 
@@ -54,7 +54,7 @@ def find_and_mend_faults(
             repeats_last = bool(faults) and (faults[-1].name, faults[-1].key) == (fault.name, fault.key)
             logged = logged if repeats_last else mended_records
             picture_and_share = mended_picture(fault.name, logged[first_held_out:], remended[first_held_out:], model)
-            shrinks = picture_and_share is not None and picture_and_share[1] >= LEAST_MENDED_SHARE
+            shrinks = picture_and_share is not None and picture_and_share[1] >= LEAST_HELD_OUT_SHARE
             if picture_and_share is not None and fault.shrinks and not shrinks:
                 break
             if picture_and_share is not None and shrinks:

@@ -26,7 +26,7 @@ FEWEST_STRETCHES = 5  # stretches of a run that show a lateness
 LEAST_DRIFT_STDS = 5.0  # standard errors of a drift, or of an offset
 STAMP_ERROR = 1.0  # samples by which an unspecified stamp may be wrong; drifts, offsets and leaps exceed it
 MOST_SCATTER_SHARE = 0.2  # scatter of stretches about a drift, as a share of its total
-LEAST_MENDED_SHARE = 0.5  # smallest share of a channel's squared error that a corrected clock removes
+LEAST_CLOCK_SHARE = 0.5  # smallest share of a channel's squared error that a corrected clock removes
 MOST_DRIFT_DIFFERENCE = 0.5  # largest difference between the drifts of runs, as a share of a drift
 MOST_QUIET_ERROR = 2.0  # error of a channel over its noise, up to which its clock is right
 MOST_LEAPS = 4  # leaps in a run
@@ -245,10 +245,10 @@ def mends(
     courses: Mapping[str, LatenessCourse],
     steady: bool = True,
 ) -> bool:
-    """Return whether the median gain of the runs with corrected clocks is at least `LEAST_MENDED_SHARE`."""
+    """Return whether the median gain of the runs with corrected clocks is at least `LEAST_CLOCK_SHARE`."""
     return (
         float(np.median([mended_share(pair, courses[record.name], steady) for record, pair, _ in group]))
-        >= LEAST_MENDED_SHARE
+        >= LEAST_CLOCK_SHARE
     )
 
 

@@ -30,7 +30,7 @@ STEPS_OF_TIME = {"1000": 1000.0, "1/1000": 1e-3, "1000000": 1e6, "1/1000000": 1e
 CONVENTION_TOLERANCE = 0.06  # largest difference of logarithms between a factor and its convention
 MOST_RATE_DENOMINATOR = 10  # of a ratio of two rates
 MOST_POLE_PAIRS = 64
-WHOLE_TOLERANCE = 0.25  # distance of a factor from a whole number: a quarter of that between two of them
+WHOLE_TOLERANCE = 0.25  # largest distance of a factor from a whole number
 
 
 def convention(factor: float, error: float = 0.0) -> str:
@@ -63,6 +63,6 @@ def whole_number(factor: float, error: float) -> int | None:
     """Return the whole number, 2 to `MOST_POLE_PAIRS`, that a factor or its inverse equals; None if it equals none."""
     larger = max(factor, 1.0 / factor)
     number = round(larger)
-    tolerance = WHOLE_TOLERANCE / max(number, 1)  # half-way to the next whole number, and half of that again
+    tolerance = WHOLE_TOLERANCE / max(number, 1)  # the same in logarithms
     determined = 2 <= number <= MOST_POLE_PAIRS and error < tolerance
     return number if determined and abs(math.log(larger / number)) < tolerance + error else None

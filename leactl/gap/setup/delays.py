@@ -13,8 +13,8 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Places = npt.NDArray[np.intp]
 STRETCHES = 16  # stretches of a run
-FEWEST_STRETCH_SAMPLES = 60  # samples of a stretch
-LEAST_EXPLAINED_SHARE = 0.9  # smallest share of a stretch's variance that the shifted other channel explains
+FEWEST_STRETCH_SAMPLES = 60
+LEAST_FOLLOWED_SHARE = 0.9  # smallest share of a stretch's variance that the shifted other channel explains
 MOST_SHIFT_ERROR = 0.3  # samples, largest standard error of a stretch that counts
 LEAST_WIDTH = 3.0  # samples of smoothing
 REFINEMENT_ROUNDS = 4  # Gauss-Newton steps
@@ -130,7 +130,7 @@ def refined_shift(
     late, error, unexplained = fitted
     if (
         abs(late) > margin
-        or unexplained > 1.0 - LEAST_EXPLAINED_SHARE
+        or unexplained > 1.0 - LEAST_FOLLOWED_SHARE
         or error > MOST_SHIFT_ERROR * max(1.0, width / LEAST_WIDTH)
     ):
         return None

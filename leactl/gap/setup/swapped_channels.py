@@ -31,7 +31,7 @@ MOST_TRIED_RUNS = 4  # runs tried with exchanged channels
 LEAST_SWAPPED_SHARE = 0.5  # of the runs with both channels: one mapping makes all of them, so most show a swap
 MOST_CLEAN_RATIO = 0.1  # noise of the column named current in a swap, over that of the column named reference
 LEAST_LEAD_SAMPLES = 0.1  # samples by which a current precedes its reference in a swap
-LATENESS_STDS = 3.0  # standard errors by which a lateness must exceed that to be clear
+LATENESS_STDS = 3.0  # standard errors by which a lateness must exceed `LEAST_LEAD_SAMPLES` to count
 FAULT_PROBABILITY = 0.99  # probability of a swap
 
 

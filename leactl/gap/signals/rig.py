@@ -28,6 +28,7 @@ CREEP_TRAVEL = 300.0  # encoder counts of travel; an axis that travels less is a
 JITTER_COUNTS = 10.0  # encoder counts by which a hold overshoots and jitters without a reversal
 SLOW_SHARE = 0.02  # share of a run's fast speeds below which an axis counts as at rest
 STILL_REACH = 4.0  # samples, Gaussian margin around samples at rest
+RIG_ENTRIES = ("drive_gain", "load_mass", "load_length", "load_arm_mass")  # set-up entries that tell kinds of run apart
 
 
 def drive_of(record: Record, model: Model) -> DriveModel | None:

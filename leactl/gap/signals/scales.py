@@ -64,10 +64,10 @@ def highest_speed(records: Sequence[Record], model: Model) -> float:
 def worth_knowing(records: Sequence[Record], model: Model) -> dict[str, float]:
     """Return the smallest relevant size of each effect on a machine, without effects whose unit is not determined.
 
-    It is in the units of `EffectDefinition.smallest_relevant`.
+    It is in the units of `EffectDefinition.smallest_worth_knowing`.
     """
     units = scales(records, model)
-    least = {name: effect_definition(name).smallest_relevant for name in effect_names()}
+    least = {name: effect_definition(name).smallest_worth_knowing for name in effect_names()}
     return {name: worth.size * units[worth.units] for name, worth in least.items() if worth.units in units}
 
 

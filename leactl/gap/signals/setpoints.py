@@ -32,7 +32,11 @@ LEAP_WINDOW = 3  # rows on either side of a bend that count as nearby
 MOST_NEIGHBOUR_CHANGE = 0.05  # largest change of a reference in the rows next to a step, as a share of the step
 LEAST_LEAP_STDS = 20.0  # size of a leap that counts, in standard deviations of the current's usual residual
 LEAST_MISS_STDS = 5.0  # residual of a missed row in the same deviations
-FEWEST_MISSES = 3  # missed rows that show a change; also followed steps that show that rows hold
+LEAST_NEXT_ROW_STDS = (
+    5.0  # by which the next row's weight in a current is below zero where setpoints change between rows
+)
+FEWEST_MISSES = 3  # missed rows that show a change between rows
+FEWEST_FOLLOWED_STEPS = 3  # that show that rows hold
 LEAST_DOUBT_STDS = 4.0  # standard deviations of the next row's weight below zero that leave it open whether rows hold
 LEAST_MISSED_SHARE = 2e-3  # of the leaps' squares; rows that hold miss 1e-5, every second or fourth one 0.01 to 0.1
 BEND_SHARE = 1.0 / 24.0  # share of a bend over four rows by which the mean between the middle two differs from a line
@@ -69,7 +73,7 @@ def mark_setpoints(records: Sequence[Record], model: Model) -> list[Record]:
     leaping = [pair for pair in followed if (pair[1].leaping > LEAST_LEAP_STDS).any()]
     leaps_missed = any(changes_between(following.missed, following.leaping) for following in followings)
     next_row_evidence = stds_against_next_row([following.foresight for following in followings])
-    changing = next_row_evidence > LEAST_MISS_STDS
+    changing = next_row_evidence > LEAST_NEXT_ROW_STDS
     if not changing and (
         leaps_missed or sum(int(misses(*following[:3]).sum()) for following in followings) >= FEWEST_MISSES
     ):
@@ -135,8 +139,8 @@ def stds_against_next_row(shares: Sequence[tuple[float, float]]) -> float:
 
 
 def holds(missed: Array, leaping: Array, steps: Mask) -> bool:
-    """Return whether the current follows every step of the reference, of at least `FEWEST_MISSES` steps."""
-    enough = int(np.sum(steps & (leaping > LEAST_LEAP_STDS))) >= FEWEST_MISSES
+    """Return whether the current follows every step of the reference, of at least `FEWEST_FOLLOWED_STEPS` steps."""
+    enough = int(np.sum(steps & (leaping > LEAST_LEAP_STDS))) >= FEWEST_FOLLOWED_STEPS
     return enough and not bool(misses(missed, leaping, steps).any())
 
 

@@ -6,15 +6,10 @@ from pathlib import Path
 
 from leactl.errors import InputError
 from leactl.gap.diagnosis import SimulatedRun
+from leactl.gap.signals.rig import RIG_ENTRIES
 from leactl.gap.simulated.inputs import Mismatch, mismatch
 from leactl.runfile.read.reader import Run
 
-RIG_ENTRIES = (
-    "drive_gain",
-    "load_mass",
-    "load_length",
-    "load_arm_mass",
-)  # set-up entries that tell runs of a protocol apart
 Kind = tuple[object, ...]
 
 

@@ -136,12 +136,12 @@ def unrest_of_runs(evidence: Evidence, result: EffectSet) -> RunRatios:
 
 def unrest(by_run: RunRatios) -> dict[Channel, float]:
     """Return the median unrest of each channel over its runs and stretches."""
-    return {channel: median(ratio for _, ratio in ratios) for channel, ratios in by_run.items()}
+    return {channel: median_of(ratio for _, ratio in ratios) for channel, ratios in by_run.items()}
 
 
-def median(ratios: Iterable[float]) -> float:
-    """Return the median."""
-    return float(np.median(list(ratios)))
+def median_of(values: Iterable[float]) -> float:
+    """Return the median of an iterable; NaN if one of its values is."""
+    return float(np.median(list(values)))
 
 
 def is_left_by_form(result: EffectSet, index: int) -> bool:
@@ -187,9 +187,9 @@ def unexplained_in_a_run(by_run: RunRatios) -> Unexplained:
     """
     candidates = [Unexplained(0.0, "")]
     for (equation, quantity, mechanical), ratios in by_run.items():
-        runs = {run: median(ratio for name, ratio in ratios if name == run) for run, _ in ratios}
+        runs = {run: median_of(ratio for name, ratio in ratios if name == run) for run, _ in ratios}
         run, ratio = max(runs.items(), key=lambda item: item[1])
-        typical = median(runs.values())
+        typical = median_of(runs.values())
         if typical < EVEN_UNREST:
             excess = f"{ratio:.3g} times as far from noise as a sound model leaves it"
             comparison = f"the middle one of {len(runs)} runs {typical:.3g} times"
@@ -248,7 +248,7 @@ def squares_left(stacked: Stack, fit: Fit) -> dict[tuple[str, str, str, str], di
         by_run.setdefault(rows.run, []).append(squares)
     return {
         key: {
-            run: (median(square for square, _ in pairs), median(square for _, square in pairs))
+            run: (median_of(square for square, _ in pairs), median_of(square for _, square in pairs))
             for run, pairs in runs.items()
         }
         for key, runs in by_kind.items()

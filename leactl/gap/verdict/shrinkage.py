@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from leactl.gap.diagnosis import Shrinkage
+from leactl.gap.diagnosis import LEAST_GAP_FLOORS, Shrinkage
 from leactl.gap.replay import replay_all
 from leactl.gap.replay.bearing import fitted_give
 from leactl.gap.replay.bench_of_model import plant_of
@@ -20,7 +20,6 @@ from leactl.model.nominal import Model
 from leactl.quantities import UNITS
 
 Array = npt.NDArray[np.float64]
-LEAST_GAP_FLOORS = 1.1  # floors; no smaller gap is left to close
 LEAST_LOG_GAP = math.log(LEAST_GAP_FLOORS)
 EQUAL_SQUARES_RATIO = 1.001  # ratio of squared gaps of a channel up to which two models follow it equally well
 FEWEST_BLOCKS = 8  # blocks of a channel; with fewer, resampling does not determine the ends of an interval

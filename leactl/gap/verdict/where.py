@@ -18,7 +18,7 @@ from leactl.gap.binned_means import (
     periods_of,
     repeats,
 )
-from leactl.gap.diagnosis import MOST_REPLAY_MISS, Cause, Region, Where
+from leactl.gap.diagnosis import LEAST_GAP_FLOORS, MOST_REPLAY_MISS, Cause, Region, Where
 from leactl.gap.replay.comparison import Compared
 from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.signals.smoothing import smooth, speeds
@@ -30,7 +30,6 @@ Array = npt.NDArray[np.float64]
 REGION_SHARE = 0.8  # share of the squared residual that a region holds
 REGION_BINS = 12  # candidates for the ends of a region
 MOST_REGION_DATA = 0.75  # share of the data; a larger region is not reported
-LEAST_GAP_FLOORS = 1.1  # floors; a channel with less has no gap
 OTHER_UNITS = {"direction": "1", "frequency": "Hz", "time": "s", "time_since_reversal": "s"}
 MOST_PROFILES = 5  # first entries that get a profile
 PROFILE_BINS = 24

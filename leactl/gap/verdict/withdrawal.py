@@ -7,9 +7,9 @@ from functools import partial
 from typing import NamedTuple
 
 from leactl.effects import library
-from leactl.gap.diagnosis import MOST_REPLAY_MISS, CalibratedParameter, Cause, Near
+from leactl.gap.diagnosis import LEAST_GAP_FLOORS, MOST_REPLAY_MISS, CalibratedParameter, Cause, Near
 from leactl.gap.search.parameters import is_at_bound, with_calibration, with_effects
-from leactl.gap.verdict.shrinkage import LEAST_GAP_FLOORS, Shrunk
+from leactl.gap.verdict.shrinkage import Shrunk
 from leactl.model.nominal import Model
 
 GAP_GROWS = "with it the gap of held-out runs grows"

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import BinaryIO, Final, NamedTuple
 
 from leactl.errors import InputError
-from leactl.runfile.hdf5.newer_btrees import NewerBTrees
+from leactl.runfile.hdf5.newer_btrees import UNDEFINED_ADDRESS, NewerBTrees
 from leactl.runfile.hdf5.text_heaps import bytes_at
 
 LAYOUT, CONTINUATION, SYMBOL_TABLE = 0x08, 0x10, 0x11  # types of messages in a header
@@ -20,7 +20,6 @@ SIZE_OF_LAST_NUMBER: Final = {LINK_INFO: 8, ATTRIBUTE_INFO: 2}  # bytes, where l
 INDEX_SETTINGS: Final = {3: 1, 4: 5, 5: 6}  # bytes of settings before the address, by the type of a chunk index
 CHUNKED: Final = 2  # class of a dataset's layout
 GROUP_NODE, CHUNK_NODE = 0, 1  # types of trees
-UNDEFINED_ADDRESS: Final = (1 << 64) - 1
 LARGEST_OFFSET: Final = 1 << 62  # largest byte offset to which the system can seek
 HEAP: Final = struct.Struct("<4s4xQQQ")  # signature, size of the names, first free block in them, their address
 NODE: Final = struct.Struct("<4sBBHQQ")  # signature, type, level, children, left and right sibling

@@ -21,7 +21,7 @@ from leactl.safety.thermal.guard import GuardSettings, ThermalGuard
 
 Array = npt.NDArray[np.float64]
 PART_S = 0.005  # step of the plant: a thousandth of the time that a winding takes to warm
-COURSE_S = 8.0  # duration of a course
+COURSE_S = 8.0
 WARM_SHARE = 0.2  # of the way from the start to the limit, from which on the bound is compared with the plant
 START_SHARES = (0.0, 0.0, 0.6, 0.9)  # of the way from ambient to the limit, at which a course begins
 

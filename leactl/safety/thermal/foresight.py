@@ -29,7 +29,7 @@ SHORTEST_STEP_S = 1e-6  # rounding error of a sum of steps: a shorter remainder 
 MOST_WAIT_S = 4 * 3600.0
 WAIT_ROUNDING_S, WAIT_TOLERANCE_S = 5.0, 1.0  # a wait is rounded up to the first and searched for to within the second
 MOST_LOOSE_SHARE = 0.1  # of a turning rotor's heat
-RATE_ROUNDING_HZ = 10.0  # a rate is rounded up to a multiple
+RATE_ROUNDING_HZ = 10.0  # a rate is rounded up to a multiple of this
 FAST_RAD = 3.0  # rad of electrical angle in a step, beyond which a speed is treated as this one
 
 

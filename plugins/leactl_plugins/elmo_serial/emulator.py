@@ -32,7 +32,7 @@ EXECUTE_S = 2e-4  # from the end of a command to the first byte of its answer
 TICK_S = 0.01  # time between two checks of the host's counter by the program
 LARGEST_INTEGER = 0x7FFFFFFF
 UNIT_MODES = {1, 2, 3, 4, 5}
-DEMANDS = {1: "current", 2: "velocity", 4: "angle", 5: "angle"}
+FOLLOWED_QUANTITIES = {1: "current", 2: "velocity", 4: "angle", 5: "angle"}  # by unit mode
 DEMAND_UNIT_MODES = {"TC": (1,), "JV": (2, 5), "PA": (4, 5)}  # unit modes in which a demand may be set
 VERSION = "Whistle 1.01.12.00 08Mar2018"
 _form = re.compile(r"([A-Z]{2})(?:\[([0-9]{1,4})\])?(=(.*))?", re.ASCII | re.DOTALL)
@@ -170,7 +170,7 @@ class ElmoSerialEmulator:
 
     def _move(self) -> None:
         """Let the motor follow the demand of the unit mode, limited to the continuous current."""
-        mode = DEMANDS.get(int(self.values["UM"]), "off")
+        mode = FOLLOWED_QUANTITIES.get(int(self.values["UM"]), "off")
         if mode == "current":
             self._machine.command("current", self._limited_current() * self._q_axis_per_ampere)
         elif self._begun_motion is not None:

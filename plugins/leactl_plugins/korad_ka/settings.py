@@ -33,10 +33,8 @@ SOLD_AS: Final = {  # answers to *IDN? by other makers, without blanks (sigrok w
     "TENMA72-2550": "KA6003P",
     "RND320-KA3005P": "KA3005P",
 }
-TOO_SLOW: Final = (
-    "VELLEMANPS3005D",
-    "1.3",
-)  # loses commands for longer than the rest of them (libsigrok, pull request 210)
+# name and version that lose commands for longer than the rest of them (libsigrok, pull request 210)
+TOO_SLOW: Final = ("VELLEMANPS3005D", "1.3")
 
 
 def model_of(name: str) -> str | None:

@@ -17,7 +17,7 @@ from leactl.driver.file_records import ExportFolder, FileRecord, RecordClock
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.tables.row_order import order_rows
-from leactl_plugins.thermal_csv.read_frames import read_matrices
+from leactl_plugins.thermal_csv.read_matrices import read_matrices
 from leactl_plugins.thermal_csv.read_series import CameraFile, read_series
 from leactl_plugins.thermal_csv.settings import ThermalCsvSettings
 
