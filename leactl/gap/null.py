@@ -141,7 +141,8 @@ def set_floors(evidence: Evidence, null: Null) -> None:
 
     Where the case gives a form of a shaped effect a smaller standard error than the sound machines' runs do (their
     drive followed the reference where the real one was at a limit), its floor is multiplied by the ratio of the two
-    errors. The size that all machines have in common stays.
+    errors. The size that all machines have in common stays, and the size of a form without an error: one that no run
+    shows (infinite) or that runs without noise show exactly (zero).
     """
     evidence.compare_with(null)
     for effect, items in fit_each_alone(evidence).items():
@@ -149,7 +150,7 @@ def set_floors(evidence: Evidence, null: Null) -> None:
             continue
         pairs = zip(sizes, standard_errors(effect, items), null.errors[effect], strict=True)
         scaled = [
-            size * min(case_error / sound_error, 1.0) if sound_error < math.inf else size
+            size * min(case_error / sound_error, 1.0) if 0.0 < sound_error < math.inf else size
             for size, case_error, sound_error in pairs
         ]
         evidence.by_form[effect] = evidence.floors_of(effect, scaled)
