@@ -73,6 +73,7 @@ def test_the_loops_are_those_of_the_paper(estimates):
     assert found["bandwidth"].value == pytest.approx(7.5, rel=0.05)
 
 
+@pytest.mark.long
 def test_a_current_loop_beyond_its_noise_has_a_lower_bound(estimates):
     bandwidth = estimates("current-noise", "trials=1", "subtrials=1", "trial_s=4.1")[0]["bandwidth"]
     assert math.isnan(bandwidth.value)

@@ -164,7 +164,9 @@ def struck(number, moment, *arguments):
     )
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, *(pytest.param(one, marks=pytest.mark.long) for one in (signal.SIGTERM, signal.SIGHUP))]
+)
 @pytest.mark.parametrize(
     ("command", "moment"),
     [(CAMPAIGN, AS_IT_ENDS), (CAMPAIGN, AS_THE_FOLDER_IS_LET_GO), (RUN, AS_IT_ENDS), (RUN, AS_IT_IS_TOLD)],

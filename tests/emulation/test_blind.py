@@ -46,6 +46,7 @@ def values_of(folder):
     return found
 
 
+@pytest.mark.long
 def test_a_seed_gives_the_same_cases_and_another_does_not(tmp_path, short):
     for name, seed in (("one", 3), ("two", 3), ("three", 4)):
         make(2, tmp_path / name, tmp_path / f"{name}-key", seed=seed, kinds=("pair", "unknown"))

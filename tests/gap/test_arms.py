@@ -152,6 +152,7 @@ def test_a_run_s_own_mass_replaces_the_model_s(tmp_path):
     np.testing.assert_array_equal(own.left_over, other.left_over)
 
 
+@pytest.mark.long
 def test_a_turned_voltage_is_the_set_up_s_fault(weighed):
     turned = [
         replace(
@@ -165,6 +166,7 @@ def test_a_turned_voltage_is_the_set_up_s_fault(weighed):
     assert "q_axis_voltage" in found.causes[0].change
 
 
+@pytest.mark.long
 def test_where_the_arm_makes_whole_turns_an_unbalance_stands_first(tmp_path):
     records = logs(tmp_path, Arm(pull=weight), span=8.0, start=-4.0)
     found = diagnose(case_of(records, Model.model_validate(VOLTS)))

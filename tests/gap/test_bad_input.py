@@ -148,7 +148,17 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+SELDOM = {  # long: they end as another does
+    "a clock that leaps ahead",
+    "held-out runs of another machine",
+    "12 bits",
+    "10 Hz",
+}
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=[pytest.mark.long] if case in SELDOM else []) for case in CASES]
+)
 def test_poor_runs_are_answered_or_refused_and_no_effect_is_named(case, tmp_path):
     runs, model, verdict, told = CASES[case]
     (tmp_path / "nominal.yaml").write_text(yaml.safe_dump(model))

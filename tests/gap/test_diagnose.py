@@ -127,6 +127,7 @@ def pictures_what_it_explains(cause):
     assert all(one.low < one.high for one in drawn)
 
 
+@pytest.mark.long
 def test_what_no_effect_explains_is_owned_up_to(benches):
     is_owned_up_to(folders(benches)[0])
 

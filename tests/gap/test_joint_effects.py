@@ -57,12 +57,19 @@ DRAWN = {  # kind of machine, effects, seed, strength and what else is changed, 
     "between two values": ("drone_motor", ["power_foldback"], 6, "plain", {"rate": 250.0}),
 }
 SELDOM = {  # cases of long tests
+    "gear_backlash of geared_joint",
+    "voltage_limit of drone_motor",
+    "one way 6",
+    "pushed 47",
+    "share of encoder_eccentricity",
     "joint_elasticity of exoskeleton",
     "torque_limit of geared_joint",
     "power_foldback of wheel_motor",
     "share of asymmetric_friction",
     "quick heavy_axis",
     "gear_backlash of heavy_axis",
+    "lightly damped",
+    "between two values",
     "one way 3",
     "share of position_dependent_friction",
     "share of friction_run_in",
@@ -135,6 +142,7 @@ def test_friction_that_builds_up_over_an_angle_shows_where_a_reversal_is_over_wi
     assert displacement.value == pytest.approx(run.parameter("presliding", "displacement"), rel=0.4)
 
 
+@pytest.mark.long
 def test_a_limit_between_two_values_of_the_grid_is_not_taken_for_one_that_is_near_its_value(drawn_case):
     case, run = drawn_case("between two values")
     found = diagnose(case)
@@ -205,6 +213,7 @@ def test_what_goes_with_a_parameter_is_told_of_what_was_fitted(drawn_case, name,
     assert told[parameter] == pytest.approx(run.parameter(name, parameter), rel=near)
 
 
+@pytest.mark.long
 def test_a_load_that_swings_within_less_than_the_grid_of_frequencies_is_told_by_its_swing(drawn_case):
     case, run = drawn_case("lightly damped")
     cause = diagnose(case).causes[0]

@@ -55,6 +55,7 @@ def null(case):
     return measure(case.fitted, case.model)
 
 
+@pytest.mark.long
 def test_a_case_without_an_effect_leaves_what_sound_machines_leave(case, null):
     evidence = Evidence(case.fitted, case.model, only=[])
     evidence.settle([])

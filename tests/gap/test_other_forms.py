@@ -48,6 +48,7 @@ def test_two_effects_of_one_equation_are_both_named():
     assert {cause.effect for cause in found.causes if cause.probability >= 0.5} == {"saturation", "stribeck"}
 
 
+@pytest.mark.long
 def test_overtones_of_a_wave_are_no_further_effect():
     random = np.random.default_rng([78, 0])
     joint = drawn_joint(random)

@@ -79,6 +79,7 @@ def test_a_locked_shaft_shows_no_drag_but_a_late_torque():
     assert found["time_skew"].smallest is not None
 
 
+@pytest.mark.long
 def test_more_noise_hides_more():
     quiet, loud = (seen_in("friction", {"q_axis_current": noise}) for noise in (0.02, 2.0))
     assert loud["unbalance"].smallest > 3 * quiet["unbalance"].smallest

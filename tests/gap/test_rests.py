@@ -1,6 +1,7 @@
 """What is left beside an effect decides whether it may be named; what bridges a gap in a record is no measurement."""
 
 import numpy as np
+import pytest
 
 from leactl.gap.diagnose import diagnose
 from leactl.gap.signals.record import LONG_GAP, SMOOTHING_REACH, without_edges
@@ -21,6 +22,7 @@ def test_a_small_effect_beside_a_large_rest_is_not_named():
     assert any("too much is left beside what it explains" in note for note in found.notes)
 
 
+@pytest.mark.long
 def test_a_dead_channel_is_the_answer_and_divides_nothing_by_zero():
     random = np.random.default_rng(4)
     given = case(drawn_joint(random), Log(), random)

@@ -143,6 +143,7 @@ def test_runs_at_another_pace_are_left_out_and_named(tmp_path):
     assert any("another pace" in note and "slow" in note for note in found.notes)
 
 
+@pytest.mark.long
 def test_a_servo_that_logs_its_current_is_balanced_as_any_axis(tmp_path):
     found = diagnosed(bench(tmp_path, load=0.3, logs_current=True))
     assert "load_dependent_friction" in named(found)

@@ -95,18 +95,19 @@ def test_rows_hold_their_setpoint_where_one_swift_rate_meets_every_leap(seed, ro
     )
 
 
+@pytest.mark.long
 def test_a_drive_of_a_limited_rate_is_named():
     found = diagnose(limited_joint(2, 5))
     assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["command_slew_limit"]
 
 
-@pytest.mark.parametrize("seed", [2, 7])
+@pytest.mark.parametrize("seed", [2, pytest.param(7, marks=pytest.mark.long)])
 def test_a_limit_whose_ramps_end_within_their_rows_is_named(seed):
     found = diagnose(limited_joint(seed, 1))
     assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["command_slew_limit"]
 
 
-@pytest.mark.parametrize("times", [1, 2])
+@pytest.mark.parametrize("times", [pytest.param(1, marks=pytest.mark.long), 2])
 def test_a_sound_joint_is_not_late_in_a_thinned_log(times):
     found = diagnose(joint_case(6, times_thinned=times))
     assert found.verdict == "calibration"
@@ -162,7 +163,9 @@ def test_a_wave_that_its_rows_show_does_not_leap():
     assert np.flatnonzero(leaps((rows > 99).astype(float))).tolist() == [99, 100]
 
 
-@pytest.mark.parametrize(("third", "seed"), [("steps", 11), pytest.param("multisine", 2, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("third", "seed"), [pytest.param(*drawn, marks=pytest.mark.long) for drawn in (("steps", 11), ("multisine", 2))]
+)
 def test_a_sound_servo_is_not_late_in_a_log_of_every_fourth_sample(tmp_path, third, seed):
     spindle = draw_machines(np.random.default_rng([77, 0]), 10)[1]
     assert "velocity_reference" in spindle.channels

@@ -187,6 +187,7 @@ def test_each_real_run_has_its_simulated_run_by_name(answered, workshop):
     assert {pair["paired_by"] for pair in pairs} == {"name"}
 
 
+@pytest.mark.long
 def test_identical_runs_are_sound(workshop, tmp_path):
     shutil.copytree(workshop / "wavy", tmp_path / "real")
     answer = leactl_diagnose(tmp_path / "real", workshop / "wavy", workshop)
@@ -201,6 +202,7 @@ def leactl_diagnose(real, simulated, workshop):
     return leactl_of_python.diagnose(sides[0], [], workshop / "nominal.yaml", simulated=sides[1])
 
 
+@pytest.mark.long
 def test_an_effect_of_the_simulator_that_the_machine_lacks_is_calibrated_away(workshop, tmp_path):
     written(tmp_path / "real", PLAIN.steps, seed=2)
     answer = leactl_diagnose(tmp_path / "real", workshop / "wavy", workshop)

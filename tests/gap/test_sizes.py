@@ -31,7 +31,9 @@ def lame(name, joint):
 
 
 @pytest.mark.parametrize("seed", [22, pytest.param(23, marks=pytest.mark.long)])
-@pytest.mark.parametrize("name", ["command_slew_limit", "saturation", "stribeck"])
+@pytest.mark.parametrize(
+    "name", ["stribeck", *(pytest.param(name, marks=pytest.mark.long) for name in ("command_slew_limit", "saturation"))]
+)
 def test_an_effect_is_named_on_a_joint_of_any_size(name, seed):
     random = np.random.default_rng(seed)
     joint = drawn_joint(random)

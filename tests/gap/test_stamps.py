@@ -24,7 +24,13 @@ def sound(seed, told):
 
 
 @pytest.mark.parametrize("told", [True, False])
-@pytest.mark.parametrize("seed", [0, 1, 122])  # in the last a channel that hardly moves tells no shift
+@pytest.mark.parametrize(
+    "seed",
+    [
+        0,
+        *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 122)),
+    ],  # in 122 a channel that hardly moves tells no shift
+)
 def test_a_sound_joint_is_called_so_whatever_its_log_leaves_unsaid(seed, told):
     found = sound(seed, told)
     assert found.verdict in ("none", "calibration")
@@ -41,7 +47,9 @@ def test_of_many_sound_joints_next_to_all_are_called_so(told):
     assert len(wrong) <= (0.02 if told else 0.05) * len(found), [(one.verdict, named(one)) for one in wrong]
 
 
-@pytest.mark.parametrize(("delay", "seed"), [(5, 11), (6, 12), (8, 5)])
+@pytest.mark.parametrize(
+    ("delay", "seed"), [(8, 5), *(pytest.param(*drawn, marks=pytest.mark.long) for drawn in ((5, 11), (6, 12)))]
+)
 def test_a_delay_is_named_that_no_stamps_explain(delay, seed):
     random = np.random.default_rng(seed)
     joint, log = drawn_joint(random), drawn_log(random)

@@ -122,6 +122,7 @@ def test_stretches_whose_stamps_jitter_go_by_one_interval_and_say_so_once(pair, 
     )
 
 
+@pytest.mark.long
 def test_an_effect_is_named_in_stretches_as_in_the_whole_run(pair, monkeypatch):
     monkeypatch.setattr(long_runs, "MOST_ROWS", 1 << 16)
     found, causes = named(pair)

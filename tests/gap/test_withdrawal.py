@@ -358,7 +358,7 @@ def of_an_ellipse(stall, no_load, speed):
     ("seed", "stall_share", "speed_share"),
     [
         (41, 1.5, 1.1),
-        (57, 8.0, 0.8),  # its ridge lies between the points of any grid
+        pytest.param(57, 8.0, 0.8, marks=pytest.mark.long),  # its ridge lies between the points of any grid
         *(pytest.param(seed, 1.5, 1.1, marks=pytest.mark.long) for seed in (40, 42, 43, 44, 45, 46, 47)),
         *(pytest.param(seed, 8.0, 0.8, marks=pytest.mark.long) for seed in (50, 51, 52, 53, 56, 58)),
         *(pytest.param(seed, 0.8, 2.0, marks=pytest.mark.long) for seed in (54, 55)),
@@ -374,9 +374,7 @@ def test_a_voltage_that_ends_is_named_with_its_numbers(seed, stall_share, speed_
     assert told["stall_current"] == pytest.approx(stall, rel=0.15)  # which runs near the no-load speed hardly tell
 
 
-@pytest.mark.parametrize(
-    "seed", [41, pytest.param(46, marks=pytest.mark.long), pytest.param(51, marks=pytest.mark.long)]
-)
+@pytest.mark.parametrize("seed", [pytest.param(seed, marks=pytest.mark.long) for seed in (41, 46, 51)])
 def test_a_limit_of_another_law_is_no_limit_of_the_library(seed):
     found, _, _ = limited(seed, 0.8, 0.8, of_an_ellipse)
     assert found.verdict == "unknown"

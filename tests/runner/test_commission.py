@@ -71,6 +71,7 @@ def test_one_short_heat_narrows_the_file_until_the_whole_protocol_is_admitted_an
     assert found.heats[0].path.name in text
 
 
+@pytest.mark.long
 def test_no_heat_lasts_more_than_a_few_times_the_longest_before_it(tmp_path):
     """A body that warms for an hour shows nothing in a quarter of it, and the bound of the whole is none then."""
     bench = Bench(tmp_path)
