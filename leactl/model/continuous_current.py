@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.model.thermal_network import Conductances
+from leactl.model.winding import resistance_ratio
 
 Array = npt.NDArray[np.float64]
 TURNING, STANDING = 1.0 / 3.0, 2.0 / 3.0  # share of the copper heat in the hottest phase
@@ -82,7 +83,7 @@ def hottest_rise(actuator: ThermalActuator, current: float, ambient: float, dura
         ]
     )
     conductance_matrix[:2, 2] = conductance_matrix[2, :2] = -thirds * network.winding_housing
-    resistance_factor = 1.0 + actuator.resistance_coefficient * (ambient - actuator.reference_temperature)
+    resistance_factor = resistance_ratio(ambient, actuator.resistance_coefficient, actuator.reference_temperature)
     rates = (np.diag(actuator.resistance_coefficient * heat) - conductance_matrix) / capacitances[:, None]
     heating_at_ambient = heat * resistance_factor / capacitances
     if not (np.isfinite(rates).all() and np.isfinite(heating_at_ambient).all()):

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from leactl.model.motor_schema import MotorSheet
-from leactl.model.winding import Electrical, voltage_ceiling
+from leactl.model.winding import Electrical, resistance_ratio, voltage_ceiling
 
 
 def electrical(motor: MotorSheet) -> Electrical:
@@ -38,7 +38,7 @@ def resistance_at(motor: MotorSheet, temperature: float) -> float | None:
     reference = motor.reference_temperature
     if resistance is None or coefficient is None or reference is None:
         return None
-    return resistance * (1.0 + coefficient * (temperature - reference))
+    return resistance * resistance_ratio(temperature, coefficient, reference)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy as np
 from leactl.errors import InputError
 from leactl.model.cycle import Array, Cycle
 from leactl.model.motor_schema import MotorSheet
-from leactl.model.winding import FRAMES, voltage_ceiling
+from leactl.model.winding import FRAMES, resistance_ratio, voltage_ceiling
 
 REQUIRED_FIELDS = (
     "torque_constant",
@@ -159,7 +159,7 @@ class _RatioSweep:
         cold_rise = np.mean(self._current**2, axis=1) * motor.phase_resistance * resistance_to_ambient  # K
         stability_margin = 1.0 - coefficient * cold_rise
         stable = stability_margin > 0.0
-        ambient_factor = 1.0 + coefficient * (supply.ambient - reference)
+        ambient_factor = resistance_ratio(supply.ambient, coefficient, reference)
         rise = cold_rise * ambient_factor / np.where(stable, stability_margin, np.nan)
         return np.where(stable, supply.ambient + rise, np.inf)
 
@@ -170,7 +170,7 @@ class _RatioSweep:
         coefficient, reference = motor.resistance_coefficient, motor.reference_temperature
         if coefficient is None or reference is None:
             return np.full(len(self._ratios), motor.phase_resistance)
-        warm_resistance = motor.phase_resistance * (1.0 + coefficient * (self.temperature - reference))
+        warm_resistance = motor.phase_resistance * resistance_ratio(self.temperature, coefficient, reference)
         return np.where(np.isnan(warm_resistance), motor.phase_resistance, warm_resistance)
 
     def _judge(self) -> None:

@@ -12,6 +12,7 @@ from leactl import yamlfile
 from leactl.errors import InputError
 from leactl.model.derived_quantities import continuous_torques
 from leactl.model.motor_schema import MotorLimits, MotorSheet, NotNegative, Positive, Thermal
+from leactl.model.winding import resistance_ratio
 
 Sheet = TypeVar("Sheet", bound=MotorSheet)
 RESISTANCE_RANGE = 1e-5, 1e3  # ohm
@@ -44,7 +45,9 @@ class Motor(MotorSheet):
 
     def resistance(self, temperature: float) -> float:
         """Return the phase resistance [ohm] at a winding temperature [degC]."""
-        return self.phase_resistance * (1 + self.resistance_coefficient * (temperature - self.reference_temperature))
+        return self.phase_resistance * resistance_ratio(
+            temperature, self.resistance_coefficient, self.reference_temperature
+        )
 
 
 def motor_names() -> list[str]:

@@ -1,5 +1,6 @@
-"""Convert parameters of a winding between its leads and the q axis, for wye and delta; power-invariant transform.
+"""Convert parameters of a winding: between its leads and the q axis, for wye and delta, and from cold to warm.
 
+The transform is power-invariant.
 The frame of a wye is that of its phases between lead and neutral, the frame of a delta that of its phases between two
 leads. The wye that is equivalent to a delta at the leads has a third of its resistance and inductance, its torque
 constant divided by sqrt(3) and its current times sqrt(3): torque, power and motor constant are the same in both.
@@ -9,9 +10,14 @@ Paper, section "Back-EMF Constant", and Lee and Rouse (2023) for the delta.
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
+
+if TYPE_CHECKING:  # numpy is imported where it is needed
+    import numpy as np
+    import numpy.typing as npt
 
 WindingType = Literal["wye", "delta"]
+Temperature = TypeVar("Temperature", float, "npt.NDArray[np.float64]")
 
 
 @dataclass(frozen=True)
@@ -78,6 +84,15 @@ class LineToLine:
 def voltage_ceiling(bus_voltage: float, winding: WindingType) -> float:
     """Return the largest q-axis voltage [V], at which the amplitude between two leads equals the bus voltage."""
     return FRAMES[winding].back_emf * bus_voltage
+
+
+def resistance_ratio(temperature: Temperature, coefficient: float, reference: float) -> Temperature:
+    """Return the ratio of a winding's resistance at a temperature to that at the reference temperature.
+
+    temperature, reference : degC.
+    coefficient : of the resistance, 1/K; it holds at the reference temperature.
+    """
+    return 1.0 + coefficient * (temperature - reference)
 
 
 def _times(value: float | None, factor: float) -> float | None:

@@ -27,8 +27,8 @@ from leactl.runner import state_folder
 from leactl.runner.boot_time import ClockReadings
 from leactl.runner.state_folder import StateFolder
 from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC
-from leactl.safety.thermal.bound import HOUSING, ThermalBound
 from leactl.safety.thermal.box import Array, Box
+from leactl.safety.thermal.temperature_bound import HOUSING, ThermalBound
 
 FORMAT, VERSION = "leactl-thermal", 3
 WRITING_INTERVAL_S = 1.0

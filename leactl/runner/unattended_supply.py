@@ -15,10 +15,10 @@ from leactl.errors import InputError
 from leactl.protocol.plan import Plan, SetSupply
 from leactl.runner.thermal_admission import Windings
 from leactl.safety.supplies import Ending, Levels, at_leads
-from leactl.safety.thermal.bound import BURNT_DEGC, HOTTEST
 from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.guard import MARGIN_K
 from leactl.safety.thermal.supply_left_on import Endurance, endurance, temperature_reached, trip_level
+from leactl.safety.thermal.temperature_bound import BURNT_DEGC, HOTTEST
 
 
 class EndedBy(StrEnum):

@@ -12,8 +12,8 @@ from leactl.errors import AcceptanceFailed, InputError, NotIdentifiable
 from leactl.model.motor import load_motor
 from leactl.runfile.read.reader import Run
 from leactl.runner.commission import MOST_HEAT_GROWTH
-from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Box
+from leactl.safety.thermal.temperature_bound import ThermalBound
 from tests.analysis.heated import HeatedBench, Plant, temperatures
 
 LEA = load_motor("lea")[0]

@@ -22,8 +22,8 @@ from leactl.runner import state_folder, thermal_memory
 from leactl.runner.boot_time import ClockReadings
 from leactl.runner.thermal_admission import Windings
 from leactl.runner.thermal_memory import OVERDUE_S, Keeper, Memory
-from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Box
+from leactl.safety.thermal.temperature_bound import ThermalBound
 from tests.cli.terminal import COMMAND, leactl, live_run, start
 from tests.safety.phases import Plant
 

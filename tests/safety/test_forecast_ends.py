@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.foresight import Foresight
+from leactl.safety.thermal.temperature_bound import ThermalBound
 from tests.protocol.writing import plan
 from tests.safety.guards import LEA, SETTINGS
 

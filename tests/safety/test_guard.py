@@ -15,8 +15,8 @@ from leactl.driver.contract import Mode
 from leactl.errors import SafetyTrip
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.supervisor import Axis, Supervisor
-from leactl.safety.thermal.bound import HOTTEST, ThermalBound
 from leactl.safety.thermal.box import Box
+from leactl.safety.thermal.temperature_bound import HOTTEST, ThermalBound
 from leactl.safety.thermal.turning import Rotor, detour, largest_acceleration
 from tests.driver.elmo_bench import ElmoBench
 from tests.safety.guards import LEA, SETTINGS, guard_of, passed

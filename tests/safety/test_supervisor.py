@@ -12,8 +12,8 @@ from leactl.safety.interlocks import CurrentDisagreement, Interlocks
 from leactl.safety.limits import Limits
 from leactl.safety.plan_checks import check_setpoints
 from leactl.safety.supervisor import Axis, Supervisor
-from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Box
+from leactl.safety.thermal.temperature_bound import ThermalBound
 from tests.driver.elmo_bench import ElmoBench
 from tests.safety.guards import LEA, guard_of
 

@@ -11,8 +11,8 @@ from leactl.errors import DeviceError, InputError, SafetyTrip
 from leactl.safety.interlocks import Interlocks
 from leactl.safety.supervisor import Supervisor
 from leactl.safety.supplies import Ending
-from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Box
+from leactl.safety.thermal.temperature_bound import ThermalBound
 from tests.safety.guards import LEA, guard_of
 from tests.safety.rig import LIMITS
 from tests.safety.supply_rig import PERIOD, ProtectedSupplyRig, SupplyRig

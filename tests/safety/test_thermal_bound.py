@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from leactl.errors import InputError
-from leactl.safety.thermal.bound import ThermalBound, inflow, lateness
 from leactl.safety.thermal.box import Box
+from leactl.safety.thermal.temperature_bound import ThermalBound, inflow, lateness
 from leactl.safety.thermal.turning import Rotor
 from tests.safety.phases import LEA, STEP_S, Plant, advance, follow
 

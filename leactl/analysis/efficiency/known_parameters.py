@@ -11,6 +11,7 @@ from leactl.analysis.efficiency.power_balance import PowerCalibration
 from leactl.analysis.estimate import Noted
 from leactl.analysis.run_model import model_of
 from leactl.errors import InputError, NotIdentifiable
+from leactl.model.winding import resistance_ratio
 from leactl.runfile.read.reader import Run
 
 
@@ -69,7 +70,7 @@ def calibration_of(
                 f"winding_temperature {temperature:g} degC: -50 to 400 degC and a model with resistance_coefficient and"
                 " reference_temperature were expected"
             )
-        warm = cold * (1.0 + slope * (temperature - reference))
+        warm = cold * resistance_ratio(temperature, slope, reference)
     elif math.isfinite(reference):
         temperature = reference
     at_temperature = f" at {temperature:g} degC" if temperature is not None else ""

@@ -9,7 +9,6 @@ from leactl.analysis.heating.parameters import FittedParameters
 from leactl.analysis.heating.resistance import REFERENCE_TEMPERATURE
 from leactl.model.continuous_current import STANDING, STEADY_STATE, TURNING, ThermalActuator, current_for_rise
 
-PAPER_WINDING_LIMIT = 130.0  # degC, for a model that states none
 PEAKS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 60.0, 300.0)
 MOTIONS = {"": TURNING, "_standing": STANDING}
 

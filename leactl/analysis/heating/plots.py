@@ -8,6 +8,7 @@ from leactl.analysis.estimate import Estimate, Plot, Series
 from leactl.analysis.heating.network import NetworkFit, camera_temperatures
 from leactl.analysis.heating.record import Array
 from leactl.analysis.heating.resistance import REFERENCE_TEMPERATURE, ResistanceLine
+from leactl.model.winding import resistance_ratio
 
 MOST_POINTS = 120  # of a curve
 NODES = ("winding", "housing")
@@ -22,7 +23,7 @@ def plots_of(fit: NetworkFit, line: ResistanceLine, currents: Sequence[Estimate]
             lines.append(thinned_curve(f"{name}, fitted", record.time, fitted[node]))
             residual_points.append(thinned_curve(name, record.time, residual[node]))
     temperatures = np.array([line.temperature.min(), line.temperature.max()])
-    resistances = line.level * (1.0 + line.coefficient * (temperatures - REFERENCE_TEMPERATURE))
+    resistances = line.level * resistance_ratio(temperatures, line.coefficient, REFERENCE_TEMPERATURE)
     order = np.argsort(line.temperature)
     measurements = thinned_curve("voltage over current", line.temperature[order], line.resistance[order])
     return (

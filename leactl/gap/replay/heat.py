@@ -15,6 +15,7 @@ from leactl.gap.signals.derived import means_after_edges, winding_time_constant
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import WINDING, Clocked
 from leactl.gap.signals.smoothing import smooth
+from leactl.model.winding import resistance_ratio
 
 START_SHARE = 0.3  # share of a winding's time constant in which readings determine the start
 MOST_START_SAMPLES = 20  # of these readings
@@ -268,4 +269,4 @@ def resistance_share(job: Job, winding: Array | None) -> Array | float:
     """Return the ratio of the resistance to that at the reference temperature."""
     if winding is None:
         return 1.0
-    return 1.0 + job.plant.resistance_coefficient * (winding - job.plant.model.reference_temperature)
+    return resistance_ratio(winding, job.plant.resistance_coefficient, job.plant.model.reference_temperature)

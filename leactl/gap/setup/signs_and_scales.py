@@ -19,7 +19,7 @@ from leactl.gap.setup.conventions import (
     time_unit,
     whole_number,
 )
-from leactl.gap.setup.hypotheses import ANGLE, TIME, ShownFault, is_usual, pool_factors, shown_faults
+from leactl.gap.setup.factor_hypotheses import ANGLE, TIME, ShownFault, is_usual, pool_factors, shown_faults
 from leactl.gap.setup.relations import FACTOR_STDS, TIGHT_STD, Factor, factors_of
 from leactl.gap.signals.record import Clocked, Key, Record
 from leactl.model.nominal import Model

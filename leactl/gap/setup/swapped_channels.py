@@ -10,7 +10,7 @@ from itertools import combinations
 
 from leactl.gap.setup.contract import SetUpFault
 from leactl.gap.setup.delays import lateness
-from leactl.gap.setup.hypotheses import ANGLE, CURRENT, REFERENCE, TORQUE, VELOCITY, is_usual
+from leactl.gap.setup.factor_hypotheses import ANGLE, CURRENT, REFERENCE, TORQUE, VELOCITY, is_usual
 from leactl.gap.setup.relations import factors_of
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import Key, Record

@@ -15,10 +15,10 @@ import numpy as np
 from leactl.driver.contract import Mode
 from leactl.model.motor import Motor
 from leactl.protocol.plan import EndWhen, Plan, Segment, When
-from leactl.safety.thermal.bound import LONGEST_STEP_S, ThermalBound, lateness
 from leactl.safety.thermal.box import Array, Box
 from leactl.safety.thermal.demand import Demand, HeldTorque, PlanState, either, states
 from leactl.safety.thermal.guard import MARGIN_K, STEP_S, Budgets, GuardSettings
+from leactl.safety.thermal.temperature_bound import LONGEST_STEP_S, ThermalBound, lateness
 from leactl.safety.thermal.turning import LEAD_LOOSE_SHARE, detour, largest_acceleration
 
 STEP_PARTS = 10  # samples of a step, where setpoints vary along a line

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.model.motor import Motor
-from leactl.safety.thermal.bound import HOTTEST, LONGEST_STEP_S, MEAN, ThermalBound
 from leactl.safety.thermal.box import PHASE_SHARE, Array, Box, Range
+from leactl.safety.thermal.temperature_bound import HOTTEST, LONGEST_STEP_S, MEAN, ThermalBound
 from leactl.safety.thermal.turning import (
     FIELDS,
     HEAT,

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.model.motor import Motor
-from leactl.safety.thermal.bound import ThermalBound
 from leactl.safety.thermal.box import Array, Box
+from leactl.safety.thermal.temperature_bound import ThermalBound
 
 TIME_STEPS = 400  # of time, up to the longest peak
 CURRENT_COUNT = 200

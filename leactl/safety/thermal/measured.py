@@ -9,9 +9,9 @@ from functools import partial
 
 from leactl.driver.contract import Row, SampleBlock, StreamSpec
 from leactl.safety.limits import LEADS
-from leactl.safety.thermal.bound import HOUSING
 from leactl.safety.thermal.guard import ThermalGuard
 from leactl.safety.thermal.resistance import LeadResistance
+from leactl.safety.thermal.temperature_bound import HOUSING
 
 SENSOR_ERROR_K = 5.0  # by which a camera or a thermistor may read too high
 

@@ -16,9 +16,9 @@ import numpy as np
 
 from leactl.driver.contract import TripAccuracy
 from leactl.safety.limits import LEADS
-from leactl.safety.thermal.bound import HOTTEST, MEAN, OTHER_PHASES, ThermalBound
 from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.guarded_currents import current_at_limit, settled_temperature
+from leactl.safety.thermal.temperature_bound import HOTTEST, MEAN, OTHER_PHASES, ThermalBound
 from leactl.safety.thermal.turning import LEAD_LOOSE_SHARE
 
 # by which the voltage may differ from its setting; drivers report a larger difference as out of regulation

@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.model.motor import Motor
-from leactl.safety.thermal.bound import lateness
 from leactl.safety.thermal.box import Array, Box
+from leactl.safety.thermal.temperature_bound import lateness
 
 LEAD_LOOSE_SHARE = 0.5  # loose share of heat that two phases take in halves: each takes (1 + 0.5) / 3
 # mean distance from a straight line, over the largest second derivative and the square of the time
