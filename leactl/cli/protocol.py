@@ -29,7 +29,7 @@ BENCH = typer.Option("", "--bench", help="Check the setpoints against this bench
 @app.command("list", epilog=examples("protocol list"))
 def list_protocols(as_json: bool = AS_JSON) -> None:
     """List the protocols that ship with leactl."""
-    from leactl.protocol.shipped import listed_protocols
+    from leactl.protocol.listing import listed_protocols
     from leactl.report.terminal import duration, list_line
 
     protocols = listed_protocols()

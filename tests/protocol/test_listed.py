@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from leactl.protocol import protocolfile, shipped
+from leactl.protocol import listing, protocolfile, shipped
 
 
 @pytest.fixture
@@ -18,20 +18,20 @@ def copied(tmp_path, monkeypatch):
 
 
 def test_the_durations_beside_the_protocols_are_those_of_their_expansion():
-    kept = json.loads((shipped.folder() / shipped.DURATIONS).read_text("utf-8"))
-    assert kept.items() <= shipped.durations().items(), "python -m leactl.protocol.shipped prints them anew"
+    kept = json.loads((shipped.folder() / listing.DURATIONS).read_text("utf-8"))
+    assert kept.items() <= listing.durations().items(), "python -m leactl.protocol.listing prints them anew"
 
 
 def test_a_list_shows_what_the_plans_have():
     plans = [protocolfile.load(name) for name in shipped.names()]
-    assert [tuple(listed) for listed in shipped.listed_protocols()] == [
+    assert [tuple(listed) for listed in listing.listed_protocols()] == [
         (plan.name, plan.title, plan.setup, plan.duration_s) for plan in plans
     ]
 
 
 def test_a_list_imports_neither_numpy_nor_pydantic():
     code = (
-        "import sys; from leactl.protocol.shipped import listed_protocols; "
+        "import sys; from leactl.protocol.listing import listed_protocols; "
         "listed_protocols(); print({*LIBRARIES} & {*sys.modules})"
     )
     code = code.replace("LIBRARIES", "('numpy', 'pydantic')")
@@ -45,13 +45,13 @@ def test_a_protocol_that_was_changed_or_came_is_expanded(copied):
     assert longer != text
     (copied / "torque-constant.yaml").write_text(longer, "utf-8")
     (copied / "another.yaml").write_text(text.replace("name: torque-constant", "name: another"), "utf-8")
-    rows = {row.name: row for row in shipped.listed_protocols()}
+    rows = {row.name: row for row in listing.listed_protocols()}
     assert rows["torque-constant"].title.startswith("Longer, ")
     assert rows["torque-constant"].duration_s == protocolfile.load("torque-constant").duration_s
     assert rows["another"].duration_s < rows["torque-constant"].duration_s
 
 
 def test_a_list_does_without_the_durations(copied):
-    expected = shipped.listed_protocols()
-    (copied / shipped.DURATIONS).unlink()
-    assert shipped.listed_protocols() == expected
+    expected = listing.listed_protocols()
+    (copied / listing.DURATIONS).unlink()
+    assert listing.listed_protocols() == expected
