@@ -1,4 +1,4 @@
-"""Check of plans that switch a supply on, before anything moves: what ends the current if every process dies.
+"""Check, before a run, what ends the current of each supply if every process dies.
 
 Either the winding endures the levels for ever, or the protection of the instrument ends the current, or a person says
 that they attend the run; a plan without any of the three is refused.
@@ -18,7 +18,7 @@ from leactl.safety.supplies import Ending, Levels, at_leads
 from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.guard import MARGIN_K
 from leactl.safety.thermal.supply_left_on import Endurance, endurance, temperature_reached, trip_level
-from leactl.safety.thermal.temperature_bound import BURNT_DEGC, HOTTEST
+from leactl.safety.thermal.temperature_bound import BURNT_DEGC, HOTTEST, HOUSING
 
 
 class EndedBy(StrEnum):
@@ -31,7 +31,7 @@ class EndedBy(StrEnum):
 
 
 @dataclass(frozen=True)
-class LeftOn:
+class SupplyLeftOn:
     """One supply at the leads of a role, with one pair of levels of a plan."""
 
     role: str
@@ -40,11 +40,11 @@ class LeftOn:
     reached: float  # degC, of the hottest phase at the most, if the levels stay on for ever; infinite for a delta
     ended_by: EndedBy
     trips_at: float | None = None  # V, trip level of its protection
-    endured_current: float = math.inf  # A, highest reading for which the winding endures the levels
+    endured_current: float = math.inf  # A, highest measured current that the winding endures for ever
 
     @property
     def summary(self) -> str:
-        """The consequence if nobody switches the supply off, in one line."""
+        """What happens if nobody switches the supply off, in one line."""
         levels = f"{self.role} supply left on at {self.voltage:g} V, {self.current:g} A: winding {self._temperature}"
         match self.ended_by:
             case EndedBy.OUTLIVED:
@@ -63,10 +63,10 @@ class LeftOn:
         return f"{self.reached:.0f} degC" if self.reached < BURNT_DEGC else "above every limit"
 
 
-def supplies_left_on(plan: Plan, windings: Windings, bench: Bench) -> list[LeftOn]:
+def supplies_left_on(plan: Plan, windings: Windings, bench: Bench) -> list[SupplyLeftOn]:
     """Judge each pair of levels of the bench's supplies in a plan, once."""
     supplies = at_leads(bench.others, windings.motors)
-    levels: dict[Levels, None] = {}
+    levels: dict[Levels, None] = {}  # a set that keeps the order of the plan
     for action in plan.actions:
         for role, output in action.outputs.items() if isinstance(action, SetSupply) else ():
             if output is not None and role in supplies:
@@ -74,7 +74,7 @@ def supplies_left_on(plan: Plan, windings: Windings, bench: Bench) -> list[LeftO
     return [_judge(windings, supplies[role], plan.attended, role, *output) for role, *output in levels]
 
 
-def endings(plan: Plan, windings: Windings, left_on: Sequence[LeftOn]) -> dict[Levels, Ending]:
+def endings(plan: Plan, windings: Windings, left_on: Sequence[SupplyLeftOn]) -> dict[Levels, Ending]:
     """Return for each pair of levels the protection to arm and the highest current to allow, for the supervisor.
 
     Raises
@@ -89,53 +89,61 @@ def endings(plan: Plan, windings: Windings, left_on: Sequence[LeftOn]) -> dict[L
 
 def _judge(
     windings: Windings, supply: PowerSupply, attended: bool, role: str, voltage: float, current: float
-) -> LeftOn:
-    # `motors`, not `fed`: levels count as they are set, and the tolerance of the line current in `fed` is of readings
+) -> SupplyLeftOn:
+    """Judge one pair of levels [V, A]: endured, ended by the supply's protection, attended, or none of these."""
+    # `motors`, not `fed`: `fed` has the tolerance of readings of the line current, and these levels are settings
     motor, settings = windings.motors[role], windings.settings
     if motor.winding != "wye":  # heat and resistance of two leads are known for a wye alone
-        return LeftOn(role, voltage, current, math.inf, EndedBy.ATTENDED if attended else EndedBy.NOTHING)
+        return SupplyLeftOn(role, voltage, current, math.inf, EndedBy.ATTENDED if attended else EndedBy.NOTHING)
     box = Box.of(motor)
     start: Sequence[float] = windings.recalled[role].nodes.tolist()
     hottest = temperature_reached(box, settings.ambient, voltage, current)
     limits = _endurance(windings, role)
     if limits.outlives(voltage, current, start):
         endured_current = math.inf if attended else limits.highest_current(voltage)
-        return LeftOn(role, voltage, current, hottest, EndedBy.OUTLIVED, endured_current=endured_current)
+        return SupplyLeftOn(role, voltage, current, hottest, EndedBy.OUTLIVED, endured_current=endured_current)
     if isinstance(supply, ProtectedSupply):
-        uneven = max(0.0, start[HOTTEST] - (settings.ambient - box.ambient_rise))
+        # K, of the hottest phase above the coolest, which is at least as warm as the coldest air
+        phase_difference = max(0.0, start[HOTTEST] - (settings.ambient - box.ambient_rise))
         limit = settings.limit - MARGIN_K
-        level = trip_level(box, limit, uneven, voltage, current, supply.trip_accuracy)
+        level = trip_level(box, limit, phase_difference, voltage, current, supply.trip_accuracy)
         if level is not None:
-            return LeftOn(role, voltage, current, hottest, EndedBy.PROTECTION, level)
-    return LeftOn(role, voltage, current, hottest, EndedBy.ATTENDED if attended else EndedBy.NOTHING)
+            return SupplyLeftOn(role, voltage, current, hottest, EndedBy.PROTECTION, level)
+    return SupplyLeftOn(role, voltage, current, hottest, EndedBy.ATTENDED if attended else EndedBy.NOTHING)
 
 
 def _endurance(windings: Windings, role: str) -> Endurance:
+    """Return what two leads of a role's motor endure for ever, with the guard's margin."""
     settings = windings.settings
     return endurance(Box.of(windings.motors[role]), settings.limit - MARGIN_K, settings.ambient)
 
 
-def _refusal(plan: Plan, windings: Windings, item: LeftOn) -> str:
+def _refusal(plan: Plan, windings: Windings, item: SupplyLeftOn) -> str:
     """Return the refusal of levels that nothing ends, with what helps."""
-    unattended = f"protocol '{plan.name}': nothing switches off the supply of {item.role} if this machine fails, and"
-    person = "`attended: true` in the protocol, or --attended"
+    opening = f"protocol '{plan.name}': nothing switches off the supply of {item.role} if this machine fails, and"
+    attending = "`attended: true` in the protocol, or --attended"
     if windings.motors[item.role].winding != "wye":
         return (
-            f"{unattended} the heating of a delta winding through two leads is not bounded here; a person has to stay"
-            f" by it: {person}"
+            f"{opening} the heating of a delta winding through two leads is not bounded here; a person has to stay"
+            f" by it: {attending}"
         )
-    limits = _endurance(windings, item.role)
+    levels = f"{item.voltage:g} V, {item.current:g} A"
+    others = f"or a supply whose own protection ends it in time, or a person who stays by it: {attending}"
+    limits, limit = _endurance(windings, item.role), windings.settings.limit
+    start = windings.recalled[item.role].nodes.tolist()
+    if not limits.outlives(0.0, 0.0, start):
+        return (
+            f"{opening} {levels} left on are not known to keep its winding below its limit of {limit:g} degC from where"
+            f" it may begin, winding {start[HOTTEST]:.0f} and housing {start[HOUSING]:.0f} degC; what helps: a rest"
+            f" before the run, in which it cools, {others}"
+        )
     # rounded down to what the coarsest supplies can be set to
     volts, amperes = int(10.0 * limits.highest_voltage(item.current)) / 10.0, int(10.0 * limits.current) / 10.0
-    start = windings.recalled[item.role]
     remedies = [f"current_A of {amperes:g} at the most"]
     if limits.outlives(volts, item.current, limits.start_ceilings):
         remedies.insert(0, f"voltage_V of {volts:g} at the most, where the supply itself takes the current back")
-    if not limits.outlives(0.0, 0.0, start.nodes.tolist()):
-        remedies = ["a rest before"]
     heat = f"to {item.reached:.0f} degC, above" if item.reached < BURNT_DEGC else "far above"
     return (
-        f"{unattended} {item.voltage:g} V, {item.current:g} A left on may bring its winding {heat} its limit of"
-        f" {windings.settings.limit:g} degC; what helps: {', or '.join(remedies)}, or a supply whose own protection"
-        f" ends it in time, or a person who stays by it: {person}"
+        f"{opening} {levels} left on may bring its winding {heat} its limit of {limit:g} degC; what helps:"
+        f" {', or '.join(remedies)}, {others}"
     )

@@ -337,8 +337,14 @@ def test_a_hot_housing_outlives_no_supply_and_a_rest_is_what_helps(tmp_path):
     windings.recalled["test"] = Recalled(np.array([120.0, 115.0, 108.0]), "made up")
     bench = Bench(file, devices, MachineWiring())
     plan = protocolfile.load("thermal", {"current_A": "2"})
-    with pytest.raises(InputError, match="what helps: a rest before, or a supply"):
+    with pytest.raises(InputError) as refused:
         endings(plan, windings, supplies_left_on(plan, windings, bench))
+    assert str(refused.value) == (
+        "protocol 'thermal': nothing switches off the supply of test if this machine fails, and 8 V, 2 A left on are"
+        " not known to keep its winding below its limit of 130 degC from where it may begin, winding 120 and housing 108"
+        " degC; what helps: a rest before the run, in which it cools, or a supply whose own protection ends it in time,"
+        " or a person who stays by it: `attended: true` in the protocol, or --attended"
+    )
 
 
 def test_the_refusal_of_a_delta_winding_names_no_levels_that_are_refused_as_well(tmp_path):
