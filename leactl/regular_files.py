@@ -42,7 +42,7 @@ def open_regular(path: Path, most: int | None = None) -> BinaryIO:
 
 
 def is_being_written(path: Path) -> bool:
-    """Whether a process of this machine is seen to have a file open for writing.
+    """Return whether a process of this machine is seen to have a file open for writing.
 
     It is looked up under /proc, which shows a user's own processes: HDF5's lock is no help, since a writer that others
     may read along gives it up, and network file systems refuse a lease whoever writes.

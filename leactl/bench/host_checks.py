@@ -85,7 +85,7 @@ def can_interfaces(root: Path = Path("/")) -> dict[str, str]:
 
 
 def is_up(state: str) -> bool:
-    """Whether a CAN interface in this state passes frames; the state of a virtual one is unknown."""
+    """Return whether a CAN interface in this state passes frames; the state of a virtual one is unknown."""
     return state in ("up", "unknown")
 
 

@@ -256,7 +256,7 @@ class CanPort:
 
 
 def _is_full(error: Exception) -> bool:
-    """Whether an error says that the interface's queue was full."""
+    """Return whether an error says that the interface's queue was full."""
     return errno.ENOBUFS in _error_numbers(error)
 
 

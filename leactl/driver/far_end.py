@@ -79,7 +79,7 @@ class Living(Protocol):
     """Optional capability of the emulator of a CAN device that sends heartbeats."""
 
     def is_sign_of_life(self, frame: Frame) -> bool:
-        """Whether a frame of the device is only a heartbeat."""
+        """Return whether a frame of the device is only a heartbeat."""
 
 
 @runtime_checkable

@@ -56,7 +56,7 @@ class Regulation:
         self._astray_since = None
 
     def is_lost(self, measured: tuple[float, float], levels: tuple[float, float], limited: bool, moment: float) -> bool:
-        """Whether the output has been off its levels [V, A] for longer than `REGULATION_S`, with this measurement.
+        """Return whether the output, by this measurement too, is off its levels [V, A] for over `REGULATION_S`.
 
         If `limited`, the instrument regulates the current, otherwise the voltage; the quantity that it does not
         regulate may be below its level.

@@ -178,7 +178,7 @@ class ChannelLimits:
                     raise AcceptanceFailed(broken)
 
     def watches(self, stream: str) -> bool:
-        """Whether a limit is on a channel of the stream."""
+        """Return whether a limit is on a channel of the stream."""
         return stream in self._by_stream
 
     def verdicts(self) -> list[LimitVerdict]:

@@ -333,7 +333,7 @@ class Loop:
             self._note("info", "runner", answer)
 
     def _scaled(self, setpoints: list[tuple[str, SetpointProfile]]) -> bool:
-        """Whether the supervisor scales any of the setpoints."""
+        """Return whether the supervisor scales any of the setpoints."""
         return any(self._supervisor.scales(role) for role, _profile in setpoints)
 
     def _meets(self, until: Until, judge: Judge) -> bool:

@@ -48,7 +48,7 @@ class Keyboard:
         return next((f"stopped by the operator: key {STOP_KEYS[key]}" for key in typed if key in STOP_KEYS), "")
 
     def pause_pressed(self) -> bool:
-        """Whether the key for a pause, which begins and ends one, was pressed since the last call."""
+        """Return whether the key for a pause, which begins and ends one, was pressed since the last call."""
         pressed, self._pause_pressed = self._pause_pressed, False
         return pressed
 
@@ -155,7 +155,7 @@ def _read(terminal: int) -> bytes:
 
 
 def _in_front(terminal: int) -> bool:
-    """Whether the terminal is ours to use: in the background a read or a flush would stop the process, loop and all."""
+    """Return whether the process may use the terminal: in the background, a read or a flush would stop it."""
     try:
         return os.tcgetpgrp(terminal) == os.getpgrp()
     except OSError:  # not the controlling terminal, which stops nobody

@@ -42,7 +42,7 @@ class Outcome:
 
 
 def is_out_of_order(error: BaseException) -> bool:
-    """Whether a run ended by a trip, a failed recording, or an unexpected error such as lack of memory.
+    """Return whether a run ended by a trip, a failed recording, or an unexpected error such as lack of memory.
 
     A stop by a person, an error of a device, and a broken acceptance limit end a run in order.
     """

@@ -60,7 +60,7 @@ def admit(request: Request, windings: Windings) -> Admitted:
 
 
 def switches_supplies(plan: Plan) -> bool:
-    """Whether a plan switches any supply."""
+    """Return whether a plan switches any supply."""
     return any(isinstance(action, SetSupply) for action in plan.actions)
 
 

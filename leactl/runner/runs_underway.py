@@ -314,7 +314,7 @@ def forget(run: LostRun) -> None:
 
 
 def _is_over(facts: Mapping[str, Any]) -> bool:
-    """Whether a run has recorded that every device is safe, or had only devices that ended with it."""
+    """Return whether a run has recorded that every device is safe, or had only devices that ended with it."""
     if not facts.get("real"):
         return True
     safe = facts.get("safe")
@@ -322,7 +322,7 @@ def _is_over(facts: Mapping[str, Any]) -> bool:
 
 
 def _is_of_devices(safe: object) -> bool:
-    """Whether a value has the form that `tell_safe` writes."""
+    """Return whether a value has the form that `tell_safe` writes."""
     return isinstance(safe, dict) and all(
         isinstance(device, dict) and {"confirmed", "detail"} <= device.keys() for device in safe.values()
     )
@@ -394,7 +394,7 @@ def _open_file(path: Path) -> int | None:
 
 
 def _has_ended(descriptor: int) -> bool:
-    """Whether no process has locked a run's file any more."""
+    """Return whether no process has locked a run's file any more."""
     import fcntl  # of POSIX alone: elsewhere no run leaves such a file
 
     try:

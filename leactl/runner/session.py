@@ -293,7 +293,7 @@ def _record_verdicts(
 
 
 def _pause_wanted(announcement: Announcement, pauses: Sequence[Callable[[], bool]]) -> bool:
-    """Whether a pause is wanted: a key at the terminal toggles what `leactl bench pause` and `resume` set."""
+    """Return whether a pause is wanted: a key at the terminal toggles what `leactl bench pause` and `resume` set."""
     for pressed in pauses:
         if pressed():
             announcement.pause(not announcement.paused)

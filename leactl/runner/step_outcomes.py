@@ -119,7 +119,7 @@ class Outcomes:
         return "" if bisection.outcome == BISECTING else str(bisection)
 
     def fulfils(self, condition: StepOutcome) -> bool:
-        """Whether the latest step of that name had the outcome; a step that was left out has none."""
+        """Return whether the latest step of that name had the outcome; a step that was left out has none."""
         return self._latest.get(condition.step) == condition.outcome
 
     def verdicts(self, limits: Sequence[SearchLimit]) -> list[LimitVerdict]:

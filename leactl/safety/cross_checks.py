@@ -34,12 +34,12 @@ class _StillChannel:
         self.enabled = indices.get("drive_enabled") if quantity == "q_axis_current" else None
 
     def is_read(self) -> bool:
-        """Whether the latest reading is a number."""
+        """Return whether the latest reading is a number."""
         value = self.panel.values[self.watch.index]
         return value == value
 
     def is_off(self) -> bool:
-        """Whether this is the current of a drive that is off, which may report 0 without measuring a current."""
+        """Return whether this is the current of a drive that is off, which may report 0 without measuring a current."""
         return self.enabled is not None and self.value == 0.0 and self.panel.values[self.enabled] == 0.0
 
     def begin(self, panels: Sequence[Panel], now: float) -> None:
@@ -71,7 +71,7 @@ class _StillChannel:
             self.highest_angle = self.shaft_angle
 
     def is_stuck(self) -> bool:
-        """Whether this channel should have changed.
+        """Return whether this channel should have changed.
 
         That is the case if another channel has changed; for an angle or a velocity, if the other of the two shows that
         the shaft has moved.
@@ -162,7 +162,7 @@ class Stuck:
             item.others_unchanged = not self._others_changed(item)
 
     def _others_changed(self, item: _StillChannel) -> bool:
-        """Whether any other channel differs from its first number in the stretch."""
+        """Return whether any other channel differs from its first number in the stretch."""
         for panel, before in zip(self._panels, item.reference_values, strict=True):
             for watch in panel.watches:
                 index = watch.index

@@ -265,7 +265,7 @@ class Witnesses:
     def _plainly_agrees(
         account: Account, current: int, columns: Sequence[Sequence[float]], ends: Sequence[Ends]
     ) -> bool:
-        """Whether the extremes of the readings already show that no sample contradicts another, as in most windows."""
+        """Return whether the extremes of the readings show already that no sample contradicts another."""
         witness = account.witness
         low, high = witness.extremes(ends[EVIDENCE], ends[VELOCITY])
         smallest, largest = _magnitudes(*ends[current])

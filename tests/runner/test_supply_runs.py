@@ -341,9 +341,9 @@ def test_a_hot_housing_outlives_no_supply_and_a_rest_is_what_helps(tmp_path):
         endings(plan, windings, supplies_left_on(plan, windings, bench))
     assert str(refused.value) == (
         "protocol 'thermal': nothing switches off the supply of test if this machine fails, and 8 V, 2 A left on are"
-        " not known to keep its winding below its limit of 130 degC from where it may begin, winding 120 and housing 108"
-        " degC; what helps: a rest before the run, in which it cools, or a supply whose own protection ends it in time,"
-        " or a person who stays by it: `attended: true` in the protocol, or --attended"
+        " not known to keep its winding below its limit of 130 degC from where it may begin, winding 120 and housing"
+        " 108 degC; what helps: a rest before the run, in which it cools, or a supply whose own protection ends it in"
+        " time, or a person who stays by it: `attended: true` in the protocol, or --attended"
     )
 
 

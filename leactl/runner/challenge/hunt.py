@@ -49,7 +49,7 @@ class Hunted:
     hottest: Attempt
 
     def held(self, limit: float) -> bool:
-        """Whether no bound was below the truth and no winding above its limit."""
+        """Return whether no bound was below the truth and no winding above its limit."""
         return self.nearest.over_k <= 0.0 and self.hottest.peak <= limit
 
 

@@ -36,7 +36,7 @@ class Endurance:
     start_ceilings: tuple[float, ...]  # degC, of hottest phase, mean and housing at the start, of the coolest cell
 
     def outlives(self, voltage: float, current: float, start: Sequence[float]) -> bool:
-        """Whether a winding that begins below the bounds `start` [degC] endures these levels [V, A] for ever."""
+        """Return whether a winding that begins below the bounds `start` [degC] endures these levels [V, A] for ever."""
         if not all(node <= ceiling for node, ceiling in zip(start, self.start_ceilings, strict=True)):
             return False
         return (

@@ -136,7 +136,7 @@ class ElmoEmulator:
         return frames + self._flush() + self._report_changes()
 
     def is_sign_of_life(self, frame: Frame) -> bool:
-        """Whether a frame is a heartbeat (CiA 301: function code 1110b)."""
+        """Return whether a frame is a heartbeat (CiA 301: function code 1110b)."""
         return frame.identifier == 0x700 + self.node
 
     def freeze(self, frozen: bool) -> None:

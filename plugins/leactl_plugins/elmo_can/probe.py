@@ -104,7 +104,7 @@ def _sweep(port: CanPort, nodes: Sequence[int]) -> dict[int, list[bytes]]:
 
 
 def _is_answer(data: bytes) -> bool:
-    """Whether a node has answered the upload of its device type: by a value, or by a refusal."""
+    """Return whether a node has answered the upload of its device type: by a value, or by a refusal."""
     return len(data) == 8 and data[0] in (UPLOADED, ABORTED) and data[1:4] == READ_DEVICE_TYPE[1:4]
 
 

@@ -48,7 +48,7 @@ class RecordedSignal(BaseModel):
         return COUNTS.get(self.quantity.removesuffix("_reference"), ())
 
     def takes(self, units: str) -> bool:
-        """Whether numbers in these units can be of this quantity."""
+        """Return whether numbers in these units can be of this quantity."""
         return units in self.counted or converter(units, self.quantity) is not None
 
 

@@ -45,7 +45,7 @@ class Replies:
         self._values, self.refused = values, refused
 
     def __contains__(self, command: str) -> bool:
-        """Whether a command is in the exchange and was not refused."""
+        """Return whether a command is in the exchange and was not refused."""
         return command in self._values
 
     def check(self) -> None:
@@ -235,7 +235,7 @@ class Interpreter:
 
 
 def _has_empty_answer(command: str) -> bool:
-    """Whether the answer to a command has no value: an assignment or an action, but not the upload."""
+    """Return whether the answer to a command has no value: an assignment or an action, but not the upload."""
     return ("=" in command and not command.startswith(UPLOAD_COMMAND)) or command in ACTIONS
 
 

@@ -324,7 +324,7 @@ class OdriveCan(EngagingDrive):
             self._parameters.ask(path)
 
     def _is_ready(self) -> bool:
-        """Whether the drive reports the demanded mode, and a watchdog that is armed with the time set at `open`."""
+        """Return whether the drive reports the demanded mode, and a watchdog armed with the time set at `open`."""
         shown = self._parameters.is_shown
         return (
             shown(endpoints.CONTROL_MODE, self._control_mode)
@@ -431,7 +431,7 @@ class OdriveCan(EngagingDrive):
             )
 
     def _is_shared(self, asked: int) -> bool:
-        """Whether two drives answer as this node: different versions came, or too many at each repeated query.
+        """Return whether two drives answer as this node: different versions came, or too many at each repeated query.
 
         A disturbed end of frame makes a sender repeat a frame that has arrived (ISO 11898-1): one frame too many may be
         of one drive. A second drive answers every query.

@@ -200,7 +200,7 @@ class OdriveEmulator:
         self._machine.command("off", 0.0)
 
     def is_sign_of_life(self, frame: Frame) -> bool:
-        """Whether a frame is a heartbeat."""
+        """Return whether a frame is a heartbeat."""
         return frame.identifier == self._base | Command.HEARTBEAT
 
     # -- faults inside the drive -------------------------------------------------------------------------------------

@@ -171,13 +171,13 @@ def delimiter_of(path: Path, lines: Sequence[str], settings: ThermalCsvSettings)
 
 
 def is_text_line(line: str, settings: ThermalCsvSettings) -> bool:
-    """Whether a line begins with a word and is not a row of pixels; marks of missing pixels may be letters too."""
+    """Return whether a line begins with a word and is no row of pixels; a missing pixel may be letters too."""
     first = next((plain for cell in CELL_ENDS.split(line) if (plain := cell.strip("\"' ["))), "")
     return LETTER.match(first) is not None and first not in settings.missing
 
 
 def is_labelled_row(cells: Sequence[str], settings: ThermalCsvSettings) -> bool:
-    """Whether a word precedes pixels in a row: `Frame 1;25.0;25.1`."""
+    """Return whether a word precedes pixels in a row: `Frame 1;25.0;25.1`."""
     missing = frozenset(settings.missing)
     pixels = [split_cell(cell, missing) for cell in cells[1:]]
     return None not in pixels and sum(bool(cell and cell.number) for cell in pixels) > 1
@@ -348,7 +348,7 @@ def row_out_of_order(cells: Sequence[str]) -> int | None:
 
 
 def counts_by_one(cells: Sequence[str]) -> bool:
-    """Whether cells are whole numbers, each larger by one than the one before."""
+    """Return whether cells are whole numbers, each larger by one than the one before."""
     if not all(cell.strip("\"' ").isdecimal() for cell in cells):
         return False
     numbers = [int(cell.strip("\"' ")) for cell in cells]
@@ -356,7 +356,7 @@ def counts_by_one(cells: Sequence[str]) -> bool:
 
 
 def is_axis(cells: Sequence[str], across: Sequence[str]) -> bool:
-    """Whether cells, after a corner that may be empty, rise or fall evenly, while the cells across from them do not.
+    """Return whether cells, after a corner that may be empty, rise or fall evenly, and those across from them do not.
 
     Pixels that rise evenly in both directions are a slope.
     """
@@ -365,7 +365,7 @@ def is_axis(cells: Sequence[str], across: Sequence[str]) -> bool:
 
 
 def is_even(cells: Sequence[str]) -> bool:
-    """Whether cells are numbers with one constant step between them, up to rounding."""
+    """Return whether cells are numbers with one constant step between them, up to rounding."""
     texts = [cell.strip("\"' ") for cell in cells]
     if not all(NUMBER.fullmatch(text) for text in texts):
         return False

@@ -50,7 +50,7 @@ class StampParts(NamedTuple):
 
 
 def looks_plain(text: str) -> bool:
-    """Whether a stamp is a plain number: elapsed time or a frame number."""
+    """Return whether a stamp is a plain number: elapsed time or a frame number."""
     return PLAIN.fullmatch(text.strip()) is not None
 
 
@@ -197,7 +197,7 @@ def base_day(days: set[date | None], first: StampParts, settings: StampSettings,
 def two_fields_are_hours(
     stamps: dict[tuple[str, str], StampParts], settings: StampSettings, kind: str, digits: int, where: Where
 ) -> bool:
-    """Whether stamps such as 10:15 are hours and minutes instead of minutes and seconds.
+    """Return whether stamps such as 10:15 are hours and minutes instead of minutes and seconds.
 
     Raises
     ------

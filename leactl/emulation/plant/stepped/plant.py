@@ -180,7 +180,7 @@ class SteppedPlant:
         self._viscous = damping
 
     def _near_ceiling(self) -> bool:
-        """Whether the voltage could reach its ceiling in any lane within this millisecond."""
+        """Return whether the voltage could reach its ceiling in any lane within this millisecond."""
         jump = np.abs(self._target - self.current)
         most = np.maximum(np.abs(self._target), np.abs(self.current))
         needed = self._resistance * most + self._emf * np.abs(self.velocity) + self._loop * self._inductance * jump
