@@ -141,7 +141,14 @@ def workshop(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("line", TIMED, ids=[LINES[line] for line in TIMED])
+def timed_lines():
+    """Each line that is run here, as a parameter; all reports but the first are long, since each takes seconds."""
+    reports = [line for line in TIMED if line.startswith("report ")]
+    for line in TIMED:
+        yield pytest.param(line, id=LINES[line], marks=[pytest.mark.long] if line in reports[1:] else [])
+
+
+@pytest.mark.parametrize("line", list(timed_lines()))
 def test_a_line_of_a_page_runs(line, workshop, monkeypatch):
     monkeypatch.chdir(workshop)
     words = [IN_PLACE_OF.get(word, word) for word in shlex.split(line)]

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from leactl.runfile.verify.integrity import verify
 from tests.cli.sessions import BLOCK, LIVE, commands, masked, typed
 from tests.cli.terminal import interpreted
@@ -9,6 +11,7 @@ from tests.cli.terminal import interpreted
 TUTORIAL = Path(__file__).parents[2] / "docs" / "tutorial" / "first-protocol.md"
 
 
+@pytest.mark.long
 def test_the_demo_ends_with_the_paper_beside_what_it_found(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = interpreted("demo", COLUMNS="80", PYTHONIOENCODING="utf-8", LEACTL_STATE=str(tmp_path / "state"))

@@ -103,6 +103,7 @@ def look_at_all_of_it(here):
     }
 
 
+@pytest.mark.long
 def test_four_actuators_in_three_conditions_survive_two_kills(here):
     drawn = random.Random(25)
     moments = [(f"[{drawn.randint(*within)}/24", drawn.uniform(0.0, 0.7)) for within in ((2, 10), (12, 23))]

@@ -1,5 +1,5 @@
-"""Cases of the emulated bench that ordinary tests diagnose, made all at once: the benches of all five sets side by side
-take half the time of a core that they take one after another.
+"""Cases of the emulated bench that tests diagnose. The sets of ordinary tests are made at once, and so are those of
+long ones: benches side by side take half the time of a core that they take one after another.
 """
 
 import fcntl
@@ -20,31 +20,30 @@ SETS = {
         "count": len(OFTEN), "seed": 13, "kinds": ("single",), "effects": OFTEN, "strengths": ("plain",),
         "prefix": "single",
     },
-    "scored": {
-        "count": 2, "seed": 5, "kinds": ("single",), "effects": ("quadratic_drag", "current_sensor_offset"),
-        "strengths": ("strong",),
-    },
     "saturated": {
         "count": 1, "seed": 14, "kinds": ("single",), "effects": ("saturation",), "strengths": ("strong",),
     },
 }  # fmt: skip
+SELDOM = {"unknown"}  # sets of long tests
 
 
 def emulated_cases(tmp_path_factory, name):
-    """Folder of a set's cases and of its key; workers that run side by side make all sets once."""
+    """Folder of a set's cases and of its key; workers that run side by side make each set once."""
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "emulated-cases"
     folder.mkdir(exist_ok=True)
     with (folder / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # until whoever came first has made them
-        if not (folder / "whole").exists():
-            make_all(folder)
-            (folder / "whole").touch()
+        if not (folder / name / "whole").exists():
+            together = [other for other in SETS if (other in SELDOM) == (name in SELDOM)]
+            make_all(folder, together)
+            for other in together:
+                (folder / other / "whole").touch()
     return SimpleNamespace(folder=folder / name, cases=folder / name / "cases", key=folder / name / "key")
 
 
-def make_all(folder):
-    """Draw each set as `make` does, and run the benches of all of them together."""
+def make_all(folder, names):
+    """Draw each of some sets as `make` does, and run the benches of all of them together."""
     folders, cases = [], []
 
     def keep(into, batch):
@@ -52,6 +51,6 @@ def make_all(folder):
         cases.extend(batch)
 
     with patch.object(making, "write", keep):
-        for name, drawn in SETS.items():
-            making.make(out=folder / name / "cases", key_dir=folder / name / "key", **drawn)
+        for name in names:
+            making.make(out=folder / name / "cases", key_dir=folder / name / "key", **SETS[name])
     making.write(folders, cases)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -21,13 +22,21 @@ from leactl.gap.blind.marks import Departure, Mark, mark
 from leactl.gap.blind.score import Share, calibration, score
 from leactl.gap.blind.truth import Truth, measure
 from leactl.processes import HERE
-from tests.gap.emulated_cases import emulated_cases
+
+
+def draw_cases(folder, plans, seed):
+    """Two cases of one drawn machine, whatever the library grows by."""
+    made = ["gap", "blind", "make", "--machines", "1", "--cases", "2", "--kinds", "single", "--seed", str(seed)]
+    with patch("leactl.joints.make.plan", lambda *_: plans):
+        CliRunner().invoke(app, [*made, "--out", str(folder / "cases"), "--key", str(folder / "key")])
 
 
 @pytest.fixture(scope="session")
 def cases(tmp_path_factory):
-    """Two whole cases with one effect each, nobody misses either; a copy, since answers are written beside them."""
-    return shutil.copytree(emulated_cases(tmp_path_factory, "scored").folder, tmp_path_factory.mktemp("scored") / "set")
+    """Two whole cases with one effect each, nobody misses either."""
+    folder = tmp_path_factory.mktemp("scored")
+    draw_cases(folder, [("single", ("quadratic_drag",), "plain"), ("single", ("stribeck",), "plain")], seed=4)
+    return folder
 
 
 @pytest.fixture(scope="session")
@@ -55,11 +64,9 @@ def test_both_cases_are_named_and_their_gap_is_closed(scored):
 
 
 @pytest.mark.long
-def test_who_is_told_the_effects_knows_the_stamps_of_a_machine_s_log_as_a_diagnosis_does(tmp_path, monkeypatch):
+def test_who_is_told_the_effects_knows_the_stamps_of_a_machine_s_log_as_a_diagnosis_does(tmp_path):
     plans = [("single", ("quadratic_drag",), "faint"), ("single", ("position_dependent_friction",), "plain")]
-    monkeypatch.setattr("leactl.joints.make.plan", lambda *_: plans)  # whatever the library grows by
-    made = ["gap", "blind", "make", "--machines", "1", "--cases", "2", "--kinds", "single", "--seed", "3"]
-    CliRunner().invoke(app, [*made, "--out", str(tmp_path / "cases"), "--key", str(tmp_path / "key")])
+    draw_cases(tmp_path, plans, seed=3)
     entries = json.loads((tmp_path / "key" / "key.json").read_text())["cases"]
     assert len(entries) == 2
     for name, entry in entries.items():
@@ -71,7 +78,7 @@ def test_who_is_told_the_effects_knows_the_stamps_of_a_machine_s_log_as_a_diagno
 def test_report_holds_the_command_and_every_question(cases, scored):
     text = (cases / "report.md").read_text()
     assert "leactl gap blind score --cases cases --key key" in text
-    assert "| one effect, faint: first cause right | >= 92 % | - | 0 of 0 | |" in text
+    assert "| one effect, faint: first cause right | >= 85 % | - | 0 of 0 | |" in text
     assert str(cases) not in text
 
 
