@@ -8,12 +8,12 @@ from leactl.model.nominal import Model
 Array = npt.NDArray[np.float64]
 
 
-def friction_torque(model: Model, velocity: Array, sliding: Array) -> Array:
+def friction_torque(model: Model, velocity: Array, velocity_sign: Array) -> Array:
     """Return viscous and Coulomb friction torque [N*m], shape (samples,); a coefficient that the model lacks is 0.
 
     Parameters
     ----------
     velocity : rad/s, shape (samples,).
-    sliding : smoothed sign of the velocity, between -1 and 1, shape (samples,).
+    velocity_sign : smoothed sign of the velocity, between -1 and 1, shape (samples,).
     """
-    return (model.viscous_damping or 0.0) * velocity + (model.coulomb_friction or 0.0) * sliding
+    return (model.viscous_damping or 0.0) * velocity + (model.coulomb_friction or 0.0) * velocity_sign

@@ -1,6 +1,7 @@
-"""Compare a channel with its expected value, as logged and as mended, and draw both errors.
+"""Draw the error of the channel that the mending of a fault improves most, as logged and as mended.
 
-Of all channels, the one whose squared error loses the largest share by mending is drawn.
+The error is the channel minus its expected value; the channel drawn is the one whose squared error shrinks by the
+largest share.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,13 +21,19 @@ from leactl.quantities import UNITS
 from leactl.vocabulary.variable import VARIABLES, Variable
 
 Array = npt.NDArray[np.float64]
-OVER_TIME = {"clock_drift", "dropped_samples", "frozen_channel", "repeated_samples", "clipped_channel"}
+# their error changes in the course of a run
+FAULTS_DRAWN_OVER_TIME = frozenset(
+    {"clock_drift", "dropped_samples", "frozen_channel", "repeated_samples", "clipped_channel"}
+)
 FEWEST_EDGES = 3  # of two bins; a picture of one bin shows no shape
 
 
 @dataclass(frozen=True, eq=False)
 class ChannelError:
-    """Error of a channel of one run against its expected value, as logged and as mended; shape (samples,)."""
+    """Error of a channel of one run against its expected value, as logged and as mended.
+
+    Arrays have shape (samples,).
+    """
 
     pair: ExpectedChannel  # of the mended run
     logged: Array
@@ -36,29 +43,31 @@ class ChannelError:
 
 
 def mended_picture(
-    name: str, before: Sequence[Record], after: Sequence[Record], model: Model
+    fault_name: str, logged_records: Sequence[Record], mended_records: Sequence[Record], model: Model
 ) -> tuple[Picture, float] | None:
-    """Return the picture of the channel whose error mending removes most of, and the share removed; None without one.
+    """Return the picture of the channel whose squared error shrinks by the largest share, and that share.
+
+    The result is None if no channel has a known error, or if the error of that channel fills too few bins.
 
     Parameters
     ----------
-    name : name of the fault; for one of `OVER_TIME` the error is multiplied by the sign of the slope, over time.
-    before, after : the same runs as logged and as mended.
+    fault_name : faults of `FAULTS_DRAWN_OVER_TIME` are drawn over time, all others over the channel's variable.
+    logged_records, mended_records : the same runs as logged and as mended.
     """
     groups: dict[tuple[str, str, str, str], list[ChannelError]] = {}  # by quantity, role, reference and set-up
-    for logged, mended in zip(before, after, strict=True):
-        pairs = {(pair.key, pair.reference_label): pair for pair in every_pair(logged, model)}
+    for logged, mended in zip(logged_records, mended_records, strict=True):
+        logged_channels = {(pair.key, pair.reference_label): pair for pair in every_pair(logged, model)}
         for pair in every_pair(mended, model):
-            error = channel_error(logged, mended, pairs.get((pair.key, pair.reference_label)), pair)
+            error = channel_error(logged, mended, logged_channels.get((pair.key, pair.reference_label)), pair)
             if error is not None:
                 groups.setdefault((*pair.key, pair.reference_label, mended.mechanical), []).append(error)
     shares = {key: removed_share(group) for key, group in groups.items()}
     if not shares:
         return None
-    best_mended = max(shares, key=lambda key: shares[key])
-    quantity, role, _, mechanical = best_mended
-    picture = residual_picture(groups[best_mended], (quantity, role, mechanical), name in OVER_TIME)
-    return None if picture is None else (picture, shares[best_mended])
+    drawn_key = max(shares, key=lambda key: shares[key])
+    quantity, role, _, mechanical = drawn_key
+    picture = residual_picture(groups[drawn_key], (quantity, role, mechanical), fault_name in FAULTS_DRAWN_OVER_TIME)
+    return None if picture is None else (picture, shares[drawn_key])
 
 
 def every_pair(record: Record, model: Model) -> Iterator[ExpectedChannel]:
@@ -68,28 +77,33 @@ def every_pair(record: Record, model: Model) -> Iterator[ExpectedChannel]:
 
 
 def channel_error(
-    logged: Record, mended: Record, before: ExpectedChannel | None, after: ExpectedChannel
+    logged: Record, mended: Record, logged_channel: ExpectedChannel | None, mended_channel: ExpectedChannel
 ) -> ChannelError | None:
     """Return the error of a channel as logged and as mended; None if either is not known at any sample."""
-    if before is None or logged.fast is None or mended.fast is None:
+    if logged_channel is None or logged.fast is None or mended.fast is None:
         return None
-    valid = logged.fast.all_valid(*before.inputs) & mended.fast.all_valid(*after.inputs)
-    errors = [smooth(pair.measured) - smooth(pair.expected) for pair in (before, after)]
+    valid = logged.fast.all_valid(*logged_channel.inputs) & mended.fast.all_valid(*mended_channel.inputs)
+    logged_error, mended_error = (
+        smooth(pair.measured) - smooth(pair.expected) for pair in (logged_channel, mended_channel)
+    )
     samples = np.flatnonzero(valid)
     if not len(samples):
         return None
-    return ChannelError(after, errors[0][samples], errors[1][samples], samples, mended.fast.interval)
+    return ChannelError(mended_channel, logged_error[samples], mended_error[samples], samples, mended.fast.interval)
 
 
 def removed_share(group: Sequence[ChannelError]) -> float:
-    """Return the share of a channel's squared error in all runs that mending removes; 0 without an error as logged."""
+    """Return the share of a channel's squared error in all runs that mending removes; 0 if the logged error is zero."""
     logged_square = sum(float(np.sum(error.logged**2)) for error in group)
     mended_square = sum(float(np.sum(error.mended**2)) for error in group)
     return 1.0 - mended_square / logged_square if logged_square > 0.0 else 0.0
 
 
 def values_drawn_over(error: ChannelError, over_time: bool) -> Array:
-    """Return the values over which an error is drawn: time since the run's first sample [s], or the pair's variable."""
+    """Return the values over which an error is drawn, shape (samples,).
+
+    They are the time since the run's first sample [s], or the values of the channel's variable.
+    """
     if over_time:
         return np.asarray(error.interval * error.samples, np.float64)
     pair = error.pair
@@ -106,17 +120,18 @@ def residual_picture(group: Sequence[ChannelError], channel: tuple[str, str, str
         np.sign(slope(smooth(error.pair.expected), 1.0))[error.samples] if over_time else np.ones(len(error.samples))
         for error in group
     ]
-    before = np.concatenate([error.logged * sign for error, sign in zip(group, signs, strict=True)])
-    after = np.concatenate([error.mended * sign for error, sign in zip(group, signs, strict=True)])
+    logged_error = np.concatenate([error.logged * sign for error, sign in zip(group, signs, strict=True)])
+    mended_error = np.concatenate([error.mended * sign for error, sign in zip(group, signs, strict=True)])
     values = np.concatenate([values_drawn_over(error, over_time) for error in group])
+    # numbered through all runs: samples of one stretch count as one independent group
     stretches = np.concatenate(
         [run * STRETCHES + error.samples * STRETCHES // (int(error.samples[-1]) + 1) for run, error in enumerate(group)]
     )
-    edges = bin_edges(values, before - after, bin_count(float(len(np.unique(stretches)))))
+    edges = bin_edges(values, logged_error - mended_error, bin_count(float(len(np.unique(stretches)))))
     if len(edges) < FEWEST_EDGES:
         return None
     bin_of_row, bins = bin_of(values, edges), len(edges) - 1
-    binned_sides = [means(error, bin_of_row, stretches, bins) for error in (before, after)]
+    logged_means, mended_means = (means(error, bin_of_row, stretches, bins) for error in (logged_error, mended_error))
     counts = np.bincount(bin_of_row[bin_of_row >= 0], minlength=bins)
     pair = group[0].pair
     variable: Variable = "time" if over_time else pair.variable
@@ -124,20 +139,23 @@ def residual_picture(group: Sequence[ChannelError], channel: tuple[str, str, str
         edges[:-1].tolist(),
         edges[1:].tolist(),
         counts.tolist(),
-        *(row.tolist() for binned in binned_sides for row in (binned.mean, binned.low, binned.high)),
+        *(row.tolist() for binned in (logged_means, mended_means) for row in (binned.mean, binned.low, binned.high)),
         strict=True,
     )
+    quantity, role, mechanical = channel
     return Picture(
-        variable,
-        VARIABLES[variable].units,
-        None,
-        f"rate of change of the value expected from {pair.reference_label}" if over_time else None,
-        *channel,
-        "set-up",
-        UNITS[channel[0]],
-        binned_sides[0].rms(counts),
-        binned_sides[1].rms(counts),
-        binned_sides[0].off_zero,
-        binned_sides[1].off_zero,
-        tuple(ResidualBin(*row) for row in columns),
+        variable=variable,
+        variable_units=VARIABLES[variable].units,
+        periods=None,
+        along=f"rate of change of the value expected from {pair.reference_label}" if over_time else None,
+        quantity=quantity,
+        role=role,
+        mechanical=mechanical,
+        equation="set-up",
+        units=UNITS[quantity],
+        before_rms=logged_means.rms(counts),
+        after_rms=mended_means.rms(counts),
+        off_zero_before=logged_means.off_zero,
+        off_zero_after=mended_means.off_zero,
+        bins=tuple(ResidualBin(*row) for row in columns),
     )
