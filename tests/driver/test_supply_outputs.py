@@ -360,7 +360,7 @@ def test_on_is_read_back_from_that_output(family):
 @of_each_family
 @pytest.mark.parametrize(
     ("admits", "detail"),
-    [(True, "the output is still on"), (False, "the output is said to be off and 0.900 A flow")],
+    [(True, "the output is still on"), (False, "the instrument reports its output off, but 0.900 A flow")],
 )
 def test_an_output_that_stays_on_is_not_called_safe(family, admits, detail):
     bench = SupplyBench(**SEVERAL[family])
@@ -423,7 +423,7 @@ def test_an_e36311a_is_not_asked_for_pairs_that_it_lacks():
     bench.supply.open()
     assert b"OUTP:PAIR?" not in bench.lines()
     assert bench.supply.notices() == [
-        "no over-current protection that can be set: current_limit_A bounds nothing but what is commanded"
+        "has no over-current protection that can be set; current_limit_A only limits what is commanded"
     ]
 
 
@@ -445,8 +445,8 @@ def test_a_supply_without_protections_says_so_and_no_run_counts_on_one():
     bench = SupplyBench(**SPD3303)
     bench.supply.open()
     assert bench.supply.notices() == [
-        "no over-voltage protection that can be set: voltage_limit_V bounds nothing but what is commanded",
-        "no over-current protection that can be set: current_limit_A bounds nothing but what is commanded",
+        "has no over-voltage protection that can be set; voltage_limit_V only limits what is commanded",
+        "has no over-current protection that can be set; current_limit_A only limits what is commanded",
     ]
     for settings, counted in (SPD3303, False), (E36300, False), (DP832, True):
         level = SupplyBench(**settings).supply.trip_accuracy.level_below(5.0)

@@ -137,7 +137,7 @@ def test_another_instrument_is_refused(here, other, complaint):
         (("ignore", "VOLT 0"), DeviceError, "supply: VOLT holds 6 after 0 was written"),
         (("trip",), DeviceFault, "over-voltage protection has tripped; find out why, then clear it at the instrument"),
         (("stuck_on",), DeviceFault, "supply: the output is still on"),
-        (("stuck_on", False), DeviceFault, "supply: the output is said to be off and 5.000 A flow"),
+        (("stuck_on", False), DeviceFault, "supply: the instrument reports its output off, but 5.000 A flow"),
         (("freeze",), NoAnswer, "supply: no answer to *IDN?"),
     ],
 )
@@ -469,7 +469,7 @@ def test_levels_that_a_person_sets_at_the_panel_are_a_fault_within_a_second(benc
     bench.far.leave_on(7.0, 9.0)
     began = bench.clock.now()
     row = bench.until(lambda rows: rows and rows[-1].fault)[-1]
-    assert row.fault == "supply: set to 7.000 V and 9.000 A by itself; 8.000 V and 9.000 A were commanded"
+    assert row.fault == "supply: its levels were changed to 7.000 V and 9.000 A; 8.000 V and 9.000 A were commanded"
     assert all(math.isnan(value) for value in row.values)
     assert bench.clock.now() - began < 2.0
     bench.far.leave_on(8.0, 9.0)
@@ -600,7 +600,7 @@ def test_off_is_asked_for_after_it_was_sent_and_the_current_measured(bench):
 
 @pytest.mark.parametrize(
     ("admits", "detail"),
-    [(True, "the output is still on"), (False, "the output is said to be off and 9.000 A flow")],
+    [(True, "the output is still on"), (False, "the instrument reports its output off, but 9.000 A flow")],
 )
 def test_a_supply_that_does_not_switch_off_is_not_called_safe(bench, admits, detail):
     bench.energise()

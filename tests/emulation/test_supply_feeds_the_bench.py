@@ -110,7 +110,8 @@ def test_a_supply_at_its_voltage_gives_less_current_as_the_winding_warms(opened)
 
 
 @pytest.mark.parametrize(
-    ("admits", "said"), [(True, "the output is still on"), (False, "the output is said to be off and 9.000 A flow")]
+    ("admits", "said"),
+    [(True, "the output is still on"), (False, "the instrument reports its output off, but 9.000 A flow")],
 )
 def test_a_supply_that_does_not_switch_off_goes_on_heating_and_is_told(opened, admits, said):
     bench, emulated = opened("heated", LEADS)
@@ -135,7 +136,8 @@ STUCK = {"fault": "supply_stuck_on", "at_s": 10, "for_s": 20, "device": "supply"
 
 
 @pytest.mark.parametrize(
-    ("admits", "said"), [(True, "the output is still on"), (False, "the output is said to be off and 9.000 A flow")]
+    ("admits", "said"),
+    [(True, "the output is still on"), (False, "the instrument reports its output off, but 9.000 A flow")],
 )
 def test_a_bench_file_lets_a_supply_be_stuck_on_until_it_is_mended(opened, admits, said):
     bench, emulated = opened("heated", LEADS, faults=[STUCK | {"admits": admits}])

@@ -26,8 +26,9 @@ from leactl_plugins.scpi_supply.replies import ErrorEntry, InstrumentIdentity
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 
 MOST_ERRORS = 32  # entries read from the error queue; the queue of an E36xx holds 20
-MODES = {1: "constant current", 2: "constant voltage"}  # the condition register, the same in all families
-SETTINGS_S = 1.0  # time between two readings of the settings, which a person may change at the panel
+# by value of the condition register, which is the same in all families
+MODES = {1: "constant current", 2: "constant voltage"}
+SETTINGS_CHECK_INTERVAL_S = 1.0  # time between two readings of the settings, which a person may change at the panel
 DRAIN_PAUSES = 5  # about 10 ms each, until the last command is sent: closing the line drops unsent bytes
 IDENTIFY = Query("*IDN?", replies.parse_identity, patient=True)
 
@@ -51,21 +52,21 @@ class ScpiDialogue:
     """Dialogue with the supply of these settings."""
 
     def __init__(self, settings: ScpiSupplySettings) -> None:
-        output = settings.output or 0 if settings.model in models.OUTPUTS else 0
+        output = (settings.output or 0) if settings.model in models.OUTPUTS else 0
         self._settings, self._dialect = settings, DIALECTS[settings.dialect](settings.model, output)
         self._output = output
         self.reported_identity: InstrumentIdentity | None = None  # of the last answer
-        self.trips_at = settings.voltage_limit_V  # V, level of the over-voltage protection from the next `put` on
+        self.trips_at = settings.voltage_limit_V  # V, level to which the next `put` sets the over-voltage protection
         self._armed_at = settings.voltage_limit_V
         self._commanded = CommandedLevels(0.0, self._dialect.least_current)
         self._settings_read_at = 0.0  # time [s] at which the settings were read
         self._regulation = Regulation()
-        self._panel = ""  # fault text if the settings were changed at the panel
+        self._panel_fault_text = ""  # empty unless the settings were changed at the panel
         self._earlier_protections: list[ProtectionBefore] = []  # protections before `set_up`, which `leave` restores
-        volts, amperes = models.most(settings.model, output)
+        voltage_rating, current_rating = models.most(settings.model, output)
         reading = partial(replies.parse_reading, form=self._dialect.reading)
-        self._voltage = Query(self._dialect.measure_voltage, partial(reading, rating=volts))
-        self._current = Query(self._dialect.measure_current, partial(reading, rating=amperes))
+        self._voltage = Query(self._dialect.measure_voltage, partial(reading, rating=voltage_rating))
+        self._current = Query(self._dialect.measure_current, partial(reading, rating=current_rating))
 
     @property
     def trip_accuracy(self) -> TripAccuracy:
@@ -85,11 +86,12 @@ class ScpiDialogue:
     def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
         """Switch off repeatedly until the instrument reports it and no current flows.
 
-        The first command may be lost to a half-sent one or to an answer under way, so it is repeated.
+        A half-sent earlier command, or a reply under way, may swallow the command; it is therefore repeated until the
+        instrument confirms it.
         """
         while True:
             yield self._dialect.off
-            self._check((yield from self.synchronise()))
+            self._check_identity((yield from self.synchronise()))
             # patient, as a late answer to an earlier host may be taken for the identity
             on = yield from ask(self._dialect.on._replace(patient=True))
             if on:
@@ -98,9 +100,9 @@ class ScpiDialogue:
             current = yield from ask(self._current)
             if abs(current) <= self._settings.off_current_A:
                 return Confirmation(True, f"output off, {current:.3f} A")
-            off_trouble.text = f"the output is said to be off and {current:.3f} A flow"
+            off_trouble.text = f"the instrument reports its output off, but {current:.3f} A flow"
 
-    def _check(self, identity: InstrumentIdentity) -> None:
+    def _check_identity(self, identity: InstrumentIdentity) -> None:
         """Raise DeviceError if another instrument answers."""
         settings, self.reported_identity = self._settings, identity
         if identity.model != settings.model:
@@ -109,7 +111,9 @@ class ScpiDialogue:
             raise DeviceError(f"serial number {identity.serial_number} answers; {settings.serial_number} was expected")
 
     def set_up(self, off_trouble: SwitchOffTrouble) -> Script[Sequence[str]]:
-        """Switch off, set levels to 0 and arm both protections at their limits; returns earlier errors as notices.
+        """Switch off, set the levels to 0 and arm both protections at their limits.
+
+        The result is the notices: errors from before, and protections that the instrument does not have.
 
         Raises
         ------
@@ -117,9 +121,9 @@ class ScpiDialogue:
             armed below its limit, or an output that cannot be switched off.
         """
         settings, dialect = self._settings, self._dialect
-        self._earlier_protections, self._panel = [], ""
+        self._earlier_protections, self._panel_fault_text = [], ""
         yield from self.output_off(off_trouble)
-        before = yield from self._read_errors()
+        earlier_errors = yield from self._read_errors()
         yield from self._check_required_answers()
         if settings.output_range:
             yield dialect.set_range.format(settings.output_range.upper())
@@ -135,13 +139,13 @@ class ScpiDialogue:
         for protection, _key, limit in limits:
             yield from self._arm(protection, limit)
         self.trips_at = self._armed_at = settings.voltage_limit_V
-        refused = yield from self._read_errors()
-        if refused:
-            raise DeviceError("; ".join(f"error {number}, {text}" for number, text in refused))
+        new_errors = yield from self._read_errors()
+        if new_errors:
+            raise DeviceError("; ".join(f"error {number}, {text}" for number, text in new_errors))
         return [
-            *(f"had an error from before: {number}, {text}" for number, text in before),
+            *(f"had an error from before: {number}, {text}" for number, text in earlier_errors),
             *(
-                f"no {name} that can be set: {key} bounds nothing but what is commanded"
+                f"has no {name} that can be set; {key} only limits what is commanded"
                 for name, (protection, key, _limit) in zip((OVER_VOLTAGE, OVER_CURRENT), protections, strict=True)
                 if protection is None
             ),
@@ -160,11 +164,16 @@ class ScpiDialogue:
             raise DeviceError(f"output {selected:g} is selected after {select.command}")
 
     def _read_protections(self, limits: Sequence[tuple[Protection, str, float]]) -> Script[list[ProtectionBefore]]:
-        """Read the protections of these limits: protection, settings key of its limit, limit.
+        """Read the state of each protection.
+
+        Parameters
+        ----------
+        limits : protection, key of its limit in the settings, and limit [V or A].
 
         Raises
         ------
-        DeviceError : a protection is armed at a lower level than its limit. The driver never raises such a level.
+        DeviceError : a protection is armed at a lower level than its limit. The driver does not raise a level that was
+            set lower at the instrument.
         """
         protections = []
         for protection, key, limit in limits:
@@ -205,7 +214,7 @@ class ScpiDialogue:
         for level, value, earlier_value in levels:
             if value > earlier_value:
                 read_at = yield from self._write_level(level, value)
-        self._commanded, self._settings_read_at, self._panel = target, read_at, ""
+        self._commanded, self._settings_read_at, self._panel_fault_text = target, read_at, ""
 
     def _move_over_voltage_level(self) -> Script[None]:
         """Arm the over-voltage protection at `trips_at` if it is armed at another level."""
@@ -215,17 +224,19 @@ class ScpiDialogue:
             self._armed_at = level
 
     def leave(self) -> Script[Sequence[str]]:
-        """Restore all protections and release the front panel; returns the names of the protections."""
+        """Restore all protections and release the front panel; return the names of the protections."""
         names = [before.protection.name for before in self._earlier_protections]
         if self._earlier_protections:
-            self._check((yield from self.synchronise()))
+            self._check_identity((yield from self.synchronise()))
         while self._earlier_protections:
             protection, level, armed = self._earlier_protections[0]
             yield from self._write_level(protection.level, level)
             if protection.switch:
                 yield protection.switch.format("ON" if armed else "OFF")
             if (yield from _is_armed(protection)) is not armed:
-                raise DeviceError(f"{protection.name} is not switched {'on' if armed else 'off'} as it was found")
+                raise DeviceError(
+                    f"{protection.name} could not be switched {'on' if armed else 'off'} again, as it was before"
+                )
             del self._earlier_protections[0]
         if self._dialect.local:
             yield self._dialect.local
@@ -246,7 +257,10 @@ class ScpiDialogue:
             raise DeviceFault(f"the output does not switch {'on' if on else 'off'}")
 
     def measure(self) -> Script[SupplyReading]:
-        """Measure voltage and current; read output, condition, errors, protections; every `SETTINGS_S`, the levels."""
+        """Measure voltage and current, and read output, condition, errors and protections.
+
+        Every `SETTINGS_CHECK_INTERVAL_S`, also read the levels.
+        """
         voltage = yield self._voltage
         current = yield self._current
         assert voltage is not None and current is not None
@@ -257,17 +271,17 @@ class ScpiDialogue:
         mode = MODES.get(condition, "") if on else ""
         if on and not mode and not fault:
             fault = f"out of regulation, condition {condition}"
-        if current.seen - self._settings_read_at >= SETTINGS_S:
+        if current.seen - self._settings_read_at >= SETTINGS_CHECK_INTERVAL_S:
             self._settings_read_at = current.seen
-            self._panel = yield from self._panel_fault()
-        fault = fault or self._panel
+            self._panel_fault_text = yield from self._read_panel_fault()
+        fault = fault or self._panel_fault_text
         if on and not fault:
             fault = self._regulation_fault((voltage.value, current.value), mode, current.seen)
         notices = tuple(f"error {number}, {text}" for number, text in errors)
         return SupplyReading((voltage.asked + current.seen) / 2, voltage.value, current.value, on, mode, fault, notices)
 
-    def _panel_fault(self) -> Script[str]:
-        """Text that names levels other than the commanded ones; empty if both are as commanded."""
+    def _read_panel_fault(self) -> Script[str]:
+        """Return a text that names levels other than the commanded ones; empty if both are as commanded."""
         volts: float = yield from ask(Query(self._dialect.voltage.query, replies.parse_level))
         amperes: float = yield from ask(Query(self._dialect.current.query, replies.parse_level))
         commanded = self._commanded
@@ -275,16 +289,16 @@ class ScpiDialogue:
             abs(amperes - commanded.current) <= _read_back_tolerance(commanded.current)
         ):
             return ""
-        return f"set to {_levels_text(volts, amperes)} by itself; {_levels_text(*commanded)} were commanded"
+        return f"its levels were changed to {_levels_text(volts, amperes)}; {_levels_text(*commanded)} were commanded"
 
     def _regulation_fault(self, measured: tuple[float, float], mode: str, moment: float) -> str:
-        """Text if the output does not have the level that it reports to regulate; empty if it has."""
+        """Return a text if the output is not at the level that the instrument says it regulates; empty if it is."""
         if not self._regulation.is_lost(measured, self._commanded, mode == MODES[1], moment):
             return ""
         return f"out of regulation, {_levels_text(*measured)} at {mode}; {_levels_text(*self._commanded)} are set"
 
     def _trip_fault(self) -> Script[str]:
-        """Text that names a tripped protection; empty if none has tripped."""
+        """Return a text that names a tripped protection; empty if none has tripped."""
         for protection in (self._dialect.over_voltage, self._dialect.over_current):
             if protection is not None and (yield from ask(Query(protection.tripped, replies.parse_boolean))):
                 return f"{protection.name} has tripped"
@@ -301,7 +315,12 @@ class ScpiDialogue:
             raise DeviceFault(f"{protection.name} has tripped; find out why, then clear it at the instrument")
 
     def _write_level(self, level: Level, value: float) -> Script[float]:
-        """Write a level and read it back; raise if it differs by more than rounding; returns when it was read [s]."""
+        """Write a level, read it back, and return the time of the reading [s].
+
+        Raises
+        ------
+        DeviceError : it differs by more than rounding.
+        """
         yield level.command.format(f"{value:.{self._dialect.decimals}f}")
         reply = yield Query(level.query, replies.parse_level)
         assert reply is not None
@@ -320,7 +339,7 @@ class ScpiDialogue:
 
 
 def _is_armed(protection: Protection) -> Script[bool]:
-    """Whether a protection is armed; one without a switch always is."""
+    """Return whether a protection is armed; a protection without a switch always is."""
     return bool((yield from ask(Query(protection.armed, replies.parse_boolean)))) if protection.switch else True
 
 
@@ -329,5 +348,5 @@ def _levels_text(volts: float, amperes: float) -> str:
 
 
 def _read_back_tolerance(value: float) -> float:
-    """Largest difference [V or A] allowed between a written level and the level that is read back."""
+    """Return the largest difference [V or A] allowed between a written level and the level that is read back."""
     return RELATIVE_TOLERANCE * value + ABSOLUTE_TOLERANCE
