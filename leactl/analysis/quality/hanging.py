@@ -15,7 +15,8 @@ from leactl.analysis.quality.saturation import noise_shows
 Array = npt.NDArray[np.float64]
 
 LEAST_HANGING_SHARE = 0.05  # of a record's readings; shorter rows are missed readings, which the analyses leave out
-LEAST_COMPANION_CHANGE = 0.5  # of the range of the quantity that a channel follows; the channel must follow more
+# smallest change of the companion that the channel must follow, as a share of the companion's range
+LEAST_COMPANION_CHANGE = 0.5
 FEWEST_ON_EACH_SIDE = 5  # readings on each side of such a change; the first readings after it may come late
 
 
@@ -34,10 +35,12 @@ class RepeatedReading(NamedTuple):
 
 def longest_repeat(values: Array) -> RepeatedReading | None:
     """Return the longest row of equal readings; None if no two successive readings are equal."""
+    if not len(values):
+        return None
     is_new, lengths = rows(values)
     starts = np.flatnonzero(is_new)
     finite_lengths = np.where(np.isfinite(values[starts]), lengths, 0)
-    if not len(finite_lengths) or finite_lengths.max() < 2:
+    if finite_lengths.max() < 2:
         return None
     longest = int(np.argmax(finite_lengths))
     return RepeatedReading(
@@ -46,16 +49,20 @@ def longest_repeat(values: Array) -> RepeatedReading | None:
 
 
 def hangs(values: Array, repeat: RepeatedReading) -> bool:
-    """Return whether a row of equal readings is too long to be chance, judged by the noise of the other readings."""
+    """Return whether a row of equal readings is a considerable share of the record and too long to be chance.
+
+    The noise of the other readings shows what may be chance.
+    """
     if repeat.length < max(FEWEST_REPEATS, LEAST_HANGING_SHARE * len(values)):
         return False
     outside_row = np.delete(values, slice(repeat.first, repeat.last + 1))
     outside_row = outside_row[np.isfinite(outside_row)]
     if len(outside_row) < FEWEST_REPEATS or not noise_shows(outside_row, staying=False):
         return False
-    share = float(np.mean(np.diff(outside_row) == 0.0))
-    return share <= MOST_EQUAL_SHARE and (
-        share == 0.0 or repeat.length >= math.ceil(math.log(MOST_REPEAT_PROBABILITY) / math.log(share))
+    equal_share = float(np.mean(np.diff(outside_row) == 0.0))
+    # by noise alone, a row of n readings has the probability equal_share ** n
+    return equal_share <= MOST_EQUAL_SHARE and (
+        equal_share == 0.0 or repeat.length >= math.ceil(math.log(MOST_REPEAT_PROBABILITY) / math.log(equal_share))
     )
 
 

@@ -16,7 +16,7 @@ from leactl.analysis.estimate import NAN, Estimate
 from leactl.analysis.statistics.intervals import half_width
 
 SCATTER_ALLOWANCE = 4.0
-"""Rounding variance for which the scatter of the trials accounts, over the variance of a single trial.
+"""Largest rounding variance that the scatter of trials is taken to contain, as a multiple of a single trial's variance.
 
 Trials that each round by themselves scatter at least by their rounding; a few of them may by chance scatter less. The
 factor was chosen, not derived.
@@ -27,7 +27,7 @@ class TrialFigure(NamedTuple):
     """A figure of one level, and the limits of its uniform errors that more trials do not make smaller.
 
     Element k of `shared` has to be the limit of the same error in every level: `mean_of_levels` averages it over the
-    levels and does not reduce it. Each element of `per_level` is an error of its own.
+    levels and does not reduce it. Each element of `per_level` is an error that is independent of all others.
     """
 
     value: float
@@ -41,34 +41,38 @@ class LevelValue:
 
     figure: TrialFigure
     standard_error: float  # of the figure, from the scatter of the trials; NaN with one trial
-    dof: int
+    dof: int  # degrees of freedom: trials less one
 
 
-def over_trials(trials: int, figure: Callable[[Sequence[int]], TrialFigure]) -> LevelValue:
+def over_trials(trial_count: int, figure: Callable[[Sequence[int]], TrialFigure]) -> LevelValue:
     """Return a figure of all trials of a level, with its standard error from leaving out one trial at a time.
 
-    `figure` takes the indices of the trials to use, and returns NaN where it has no value for them.
+    `figure` takes the indices of the trials to use, and returns NaN if they give no value.
     """
-    of_all_trials = figure(range(trials))
-    if trials < 2 or not math.isfinite(of_all_trials.value):
-        return LevelValue(of_all_trials, NAN, trials - 1)
-    leave_one_out = np.array([figure([k for k in range(trials) if k != left_out]).value for left_out in range(trials)])
-    scatter = math.sqrt((trials - 1) / trials * float(np.sum((leave_one_out - leave_one_out.mean()) ** 2)))
+    of_all_trials = figure(range(trial_count))
+    if trial_count < 2 or not math.isfinite(of_all_trials.value):
+        return LevelValue(of_all_trials, NAN, trial_count - 1)
+    leave_one_out = np.array(
+        [figure([k for k in range(trial_count) if k != omitted]).value for omitted in range(trial_count)]
+    )
+    standard_error = math.sqrt(
+        (trial_count - 1) / trial_count * float(np.sum((leave_one_out - leave_one_out.mean()) ** 2))
+    )
     rounding_square = sum(limit**2 for limit in of_all_trials.per_level)
-    # the variance of a uniform error is a third of its limit squared, that of one trial `trials` times the scatter's
-    covered = SCATTER_ALLOWANCE * 3.0 * trials * scatter**2
-    remaining = math.sqrt(max(1.0 - covered / rounding_square, 0.0)) if rounding_square else 0.0
+    # a uniform error has a third of its squared limit as variance; one trial has `trial_count` times that of the figure
+    covered_square = SCATTER_ALLOWANCE * 3.0 * trial_count * standard_error**2
+    remaining = math.sqrt(max(1.0 - covered_square / rounding_square, 0.0)) if rounding_square else 0.0
     return LevelValue(
         of_all_trials._replace(per_level=tuple(remaining * limit for limit in of_all_trials.per_level)),
-        scatter,
-        trials - 1,
+        standard_error,
+        trial_count - 1,
     )
 
 
 def mean_of_levels(name: str, units: str, levels: Sequence[LevelValue]) -> Estimate:
     """Average the figure over the levels, with its 95 % interval (GUM, G.4: Welch and Satterthwaite).
 
-    There is no interval where a level has one trial.
+    Standard uncertainty and interval are NaN if any level has one trial.
     """
     count = len(levels)
     value = sum(level.figure.value for level in levels) / count
@@ -78,12 +82,14 @@ def mean_of_levels(name: str, units: str, levels: Sequence[LevelValue]) -> Estim
         for level_limits in zip_longest(*(level.figure.shared for level in levels), fillvalue=0.0)
     ]
     limits += [limit / count for level in levels for limit in level.figure.per_level]
-    scatter_std = math.sqrt(sum(variances))
-    if not math.isfinite(scatter_std):
+    combined_standard_error = math.sqrt(sum(variances))
+    if not math.isfinite(combined_standard_error):
         return Estimate(name, value, NAN, NAN, NAN, units)
     satterthwaite_sum = sum(variance**2 / level.dof for variance, level in zip(variances, levels, strict=True))
     half_interval = half_width(
-        scatter_std, scatter_std**4 / satterthwaite_sum if satterthwaite_sum else math.inf, *limits
+        combined_standard_error,
+        combined_standard_error**4 / satterthwaite_sum if satterthwaite_sum else math.inf,
+        *limits,
     )
-    std = math.hypot(scatter_std, *(limit / math.sqrt(3.0) for limit in limits))
+    std = math.hypot(combined_standard_error, *(limit / math.sqrt(3.0) for limit in limits))
     return Estimate(name, value, std, value - half_interval, value + half_interval, units)
