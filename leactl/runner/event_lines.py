@@ -23,8 +23,10 @@ from leactl.runner.progress import Progress
 
 STDOUT = Path("-")
 MOST_QUEUED = 10_000  # lines
-SAMPLES_PER_S = 20  # newest values of each channel that are taken; their mean is written once a second
-END_WAIT_S = 1.0  # at the end of a run, for a slow reader; twice that for a write that blocks
+# rate at which the newest value of each channel is sampled; the mean over a second is written
+SAMPLES_PER_S = 20
+# longest time for a slow reader at the end of a run; a write that blocks is waited for twice as long
+END_WAIT_S = 1.0
 
 
 class EventLines:
@@ -59,19 +61,20 @@ class EventLines:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        """Have the thread write what is queued, wait for it at most `2 * END_WAIT_S`, and close the output."""
         self._ending.set()
         self._thread.join(2.0 * END_WAIT_S)
         if self._thread.is_alive():  # in a write that does not return: stdout may block, a disk may hang
-            self.fault = self.fault or f"--events {self._path}: the reader takes nothing; the last lines are missing"
+            self.fault = self.fault or _reader_fault(self._path)
         else:
             os.close(self._file)
 
     def put(self, event: str, **fields: Any) -> None:
         """Queue a line without waiting for the reader."""
         with self._lock:
-            self._queue(event, fields)
+            self._append(event, fields)
 
-    def _queue(self, event: str, fields: Mapping[str, Any]) -> None:
+    def _append(self, event: str, fields: Mapping[str, Any]) -> None:
         """Queue a line, or drop and count it if the queue is full; the line `end` is never dropped.
 
         The caller holds the lock.
@@ -81,27 +84,27 @@ class EventLines:
             return
         if self._dropped:  # the count is written where the lines are missing
             dropped, self._dropped = self._dropped, 0
-            self._queued.append(line("left_out", {"lines": dropped}))
-        self._queued.append(line(event, fields))
+            self._queued.append(json_line("left_out", {"lines": dropped}))
+        self._queued.append(json_line(event, fields))
 
     def begin(self, progress: Progress, **fields: Any) -> None:
-        """Queue the line that a run begins; from then on, the means of its channels are written once a second."""
+        """Queue the line `begin`; from then on, the means of the channels are written once a second."""
         self._run_began = time.monotonic()
         self.put("begin", **fields)
         self._progress = progress
 
     def end(self, **fields: Any) -> None:
-        """Queue the line that the run has ended, which is the last one."""
+        """Queue the line `end`, which is the last one."""
         with self._lock:
             self._progress = None
-            self._queue("end", fields)
+            self._append("end", fields)
 
     def step(self, row: Mapping[str, Any]) -> None:
-        """Queue the line that a step has ended; `row` is that of the run's record."""
+        """Queue the line `step` of a step that has ended; `row` is the row of the step in the run file."""
         self.put("step", name=row["name"], start_s=row["start"], stop_s=row["stop"])
 
     def event(self, row: Mapping[str, Any]) -> None:
-        """Queue the line of an event; `row` is that of the run's record."""
+        """Queue the line `event`; `row` is the row of the event in the run file."""
         self.put("event", time_s=round(row["time"], 6), **{key: row[key] for key in ("level", "source", "message")})
 
     # -- in the thread ------------------------------------------------------------------------------------------------
@@ -119,15 +122,18 @@ class EventLines:
         means_due = time.monotonic() + 1.0
         while not self._ending.wait(1.0 / SAMPLES_PER_S):
             self._sample(samples)
-            if time.monotonic() >= means_due:
+            now = time.monotonic()
+            if now >= means_due:
                 means_due += 1.0
+                if means_due <= now:  # after a stall, such as a write that blocked
+                    means_due = now + 1.0
                 self._queue_means(samples)
                 samples.clear()
             self._write_queued()
         deadline = time.monotonic() + END_WAIT_S
         while not self._write_queued():
             if time.monotonic() > deadline:
-                self.fault = f"--events {self._path}: the reader takes nothing; the last lines are missing"
+                self.fault = _reader_fault(self._path)
                 return
             select.select([], [self._file], [], END_WAIT_S / 10)
 
@@ -149,7 +155,7 @@ class EventLines:
         with self._lock:
             if self._progress is not None and means:  # no line may follow the end of the run
                 wall_s = round(time.monotonic() - self._run_began, 3)
-                self._queue("values", {"wall_s": wall_s, "means": means})
+                self._append("values", {"wall_s": wall_s, "means": means})
 
     def _write_queued(self) -> bool:
         """Write queued lines until the output would block; return whether the queue is empty."""
@@ -166,6 +172,10 @@ class EventLines:
         return True
 
 
-def line(event: str, fields: Mapping[str, Any]) -> bytes:
+def _reader_fault(path: Path) -> str:
+    return f"--events {path}: the reader takes nothing; the last lines are missing"
+
+
+def json_line(event: str, fields: Mapping[str, Any]) -> bytes:
     """Return an event as one line of JSON."""
     return json.dumps({"event": event, **fields}, default=str).encode() + b"\n"

@@ -88,6 +88,36 @@ def test_a_mean_is_of_a_second_s_values_and_none_comes_after_the_end(tmp_path):
     assert told[1]["means"] == {"iq": 3.0}
 
 
+class StallingClock:
+    """A clock whose first wait takes ten seconds; the run ends after 12.5 s."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def monotonic(self):
+        return self.now
+
+    def wait(self, seconds):
+        self.now += seconds if self.now else 10.0
+        return self.now > 12.5
+
+    def set(self):
+        pass
+
+
+def test_after_a_stall_the_means_are_again_a_line_each_second(tmp_path, monkeypatch):
+    clock = StallingClock()
+    monkeypatch.setattr("leactl.runner.event_lines.time", clock)
+    lines = EventLines(tmp_path / "lines")
+    lines._ending = clock
+    lines.begin(Progress("spin", 9.0, {"loop": [ChannelSpec("iq", "q_axis_current", "test", "drive")]}, [1.0]))
+    with lines:
+        pass
+    assert lines.fault == ""
+    means = [line["wall_s"] for line in read(tmp_path / "lines") if line["event"] == "values"]
+    assert means == pytest.approx([10.0, 11.0, 12.0], abs=0.11)  # a pass of the loop takes 0.05 s
+
+
 def test_a_trip_is_a_line_with_its_cause(tmp_path):
     bench = leactl("bench", "show", "emulated").stdout
     bench += "  faults: [{fault: scaled_sensor, at_s: 2, device: drive_test, quantity: q_axis_current, gain: 1000}]\n"
