@@ -264,7 +264,7 @@ def doubts_before_refusal(doubts: Sequence[str]) -> Iterator[None]:
         raise type(fault)(["; ".join([*doubts, fault.faults[0]]), *fault.faults[1:]]) from fault
 
 
-def numbers(settings: Sequence[str], **named_options: float | None) -> dict[str, float]:
+def numeric_options(settings: Sequence[str], **named_options: float | None) -> dict[str, float]:
     """Return the numeric options of an analysis by name.
 
     Parameters

@@ -37,33 +37,34 @@ def analyze(
     torque_constant_std: float | None = typer.Option(
         None,
         metavar="N*m/A",
-        help="Standard uncertainty of --torque-constant, which adds to the results' own.",
+        help="Standard uncertainty of --torque-constant; it is added to that of the results.",
         callback=finite,
     ),
     processes: int = typer.Option(
-        1, "--processes", min=1, help="How many runs to read at a time; the answer is the same."
+        1, "--processes", min=1, help="Number of runs to read at a time; it does not change the results."
     ),
     scheduler: str = typer.Option(
         "", "--scheduler", metavar="ADDRESS", help="Read and analyse on the workers of this Dask scheduler."
     ),
-    settings: list[str] = typer.Option(
+    assignments: list[str] = typer.Option(
         [], "--set", metavar="NAME=NUMBER", help="Set a numeric option of the analysis, such as camera_gain_std=0.01."
     ),
 ) -> None:
     """Fit the parameters that runs were made for, with 95 % intervals, by actuator and condition."""
-    from leactl.analysis.analyze import GENERIC_ANALYSIS, analyze_each, numbers
+    from leactl.analysis.analyze import GENERIC_ANALYSIS, analyze_each, numeric_options
     from leactl.analysis.estimate import FORMAT, VERSION
     from leactl.errors import InputError
     from leactl.runfile.catalog.summaries import run_files
     from leactl.scheduler import workers_of
 
-    options = numbers(settings, torque_constant=torque_constant, torque_constant_std=torque_constant_std)
+    options = numeric_options(assignments, torque_constant=torque_constant, torque_constant_std=torque_constant_std)
     experiment_name = GENERIC_ANALYSIS if experiment == "generic" else experiment
     folders = [path for path in runs if path.is_dir()]
     files = [file for path in runs for file in (run_files([path]) if path in folders else [path])]
     with workers_of(processes, scheduler) as workers:
         results, faults = analyze_each(files, experiment_name, workers, channel=channel or None, **options)
-    if faults and not (results and folders):  # without folders, one faulty file refuses all
+    # a file that a person named must be readable; a folder's faulty runs are reported beside its results
+    if faults and not (results and folders):
         raise InputError(faults)
     if as_json and len(results) == 1 and not faults:
         typer.echo(json.dumps(results[0].as_json(), allow_nan=False))
@@ -74,8 +75,8 @@ def analyze(
     else:
         from leactl.report.terminal import print_result
 
-        for number, result in enumerate(results):
-            typer.echo("\n" if number else "", nl=False)
+        for index, result in enumerate(results):
+            typer.echo("\n" if index else "", nl=False)
             print_result(result)
     if faults:
         raise InputError(faults)

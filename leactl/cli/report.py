@@ -57,9 +57,9 @@ def report(
     as_json: bool = typer.Option(False, "--json", help="Print the table as JSON on stdout."),
 ) -> None:
     """Make a datasheet from runs: results with intervals and sources beside the paper's, and the figures."""
-    from leactl.analysis.analyze import numbers
+    from leactl.analysis.analyze import numeric_options
     from leactl.report.datasheet.make import DatasheetOutputs, make
 
-    sheet = make(runs, compare, numbers(settings), DatasheetOutputs(html, pdf, as_json))
+    sheet = make(runs, compare, numeric_options(settings), DatasheetOutputs(html, pdf, as_json))
     if as_json:
         typer.echo(json.dumps(sheet.as_json(), allow_nan=False))

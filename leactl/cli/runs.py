@@ -153,7 +153,7 @@ def trend(
     as_json: bool = AS_JSON,
 ) -> None:
     """Follow a result from run to run, with control limits: has this actuator changed?"""
-    from leactl.analysis.analyze import numbers
+    from leactl.analysis.analyze import numeric_options
     from leactl.analysis.trend import trend as trend_of
     from leactl.report.progress_line import ProgressLine
     from leactl.report.terminal import encoding_of_stdout
@@ -161,7 +161,7 @@ def trend(
     from leactl.runfile.catalog.summaries import run_files
     from leactl.scheduler import workers_of
 
-    options = numbers(settings)
+    options = numeric_options(settings)
     with ProgressLine() as step, workers_of(processes, scheduler) as workers:
         paths = run_files(runs or [Path("runs")])
         result_trend = trend_of(paths, result, actuator, condition, baseline, step, workers, **options)

@@ -27,12 +27,12 @@ def stats(
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
     """Compare results over conditions: ANOVA with the actuator as a random factor, Tukey HSD, effect sizes."""
-    from leactl.analysis.analyze import numbers
+    from leactl.analysis.analyze import numeric_options
     from leactl.analysis.anova.by_experiment import compare_each
     from leactl.errors import InputError
     from leactl.report.conditions import comparisons_text
 
-    options = numbers(settings, torque_constant=torque_constant)
+    options = numeric_options(settings, torque_constant=torque_constant)
     comparisons, not_compared, faults = compare_each(runs, result, by_run, **options)
     for line in not_compared:
         typer.echo(f"leactl: not compared: {line}", err=True)
