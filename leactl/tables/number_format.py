@@ -4,6 +4,7 @@ A cell such as `1,234` can be read in two ways. A number format has to read all 
 all cells and give different values, the file is refused, and the message names the setting that decides.
 """
 
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from io import BytesIO, TextIOWrapper
@@ -17,16 +18,17 @@ from leactl.errors import InputError
 from leactl.yamlblock import Block
 
 Array = npt.NDArray[np.float64]
-# of cells, before they are read: special spaces, the minus sign and the apostrophe become their ASCII characters
+# applied to each cell before it is read: special spaces, minus sign and apostrophe become their ASCII characters
 PLAIN_CHARACTERS = str.maketrans({"\u00a0": " ", "\u202f": " ", "\u2009": " ", "\u2212": "-", "\u2019": "'"})
 CELL = re.compile(
-    r"(?P<outside>[<>]=?\s*)?"
+    r"(?P<over_range>[<>]=?\s*)?"
     r"(?P<number>[+-]?(?:[0-9][0-9.,' ]*|[.,][0-9]+)(?:[eE][+-]?[0-9]+)?)\s*"
     r"(?P<unit>[^\d\s.,'+<>-][^\d<>]*)?"
 )
 THOUSANDS = (",", ".", " ", "'")
+MOST_FAULTS = 5  # cells that one message names
 CellLocator = Callable[[str, int], str]  # returns file, line and column of a cell by heading and row
-Mark = Annotated[str, StringConstraints(strict=True)]
+MissingMark = Annotated[str, StringConstraints(strict=True)]
 Character = Annotated[str, StringConstraints(strict=True, min_length=1, max_length=1)]
 
 
@@ -37,7 +39,7 @@ class TableFormat(Block):
     delimiter: Character | None = None
     decimal: Literal[".", ","] | None = None
     thousands: Literal["", ",", ".", " ", "'"] | None = None
-    missing: tuple[Mark, ...] = ("", "-", "--", "---", "nan", "NaN", "NAN", "N/A", "n/a", "null")
+    missing: tuple[MissingMark, ...] = ("", "-", "--", "---", "nan", "NaN", "NAN", "N/A", "n/a", "null")
 
     @field_validator("encoding")
     @classmethod
@@ -65,7 +67,10 @@ class DetectableFormat(TableFormat):
 
     @model_validator(mode="after")
     def _marks_differ(self) -> "DetectableFormat":
-        """A comma may be both: some programs write `25,3` as two cells of a comma-separated line."""
+        """Raise if the decimal mark is the thousands mark.
+
+        It may equal the delimiter, as some programs write `25,3` as two comma-separated cells.
+        """
         if self.decimal is not None and self.decimal == self.thousands:
             raise ValueError(f"decimal {self.decimal!r} is the thousands mark as well")
         return self
@@ -78,11 +83,12 @@ class NumberFormat(NamedTuple):
     thousands: str
 
     def value(self, text: str) -> float | None:
-        """Return the number in a text; None if the text is not a number in this format."""
+        """Return the number in a text; None if the text is not a finite number in this format."""
         mantissa, _, exponent = text.replace("E", "e").partition("e")
         sign = -1.0 if mantissa.startswith("-") else 1.0
         whole, mark, fraction = mantissa[mantissa.startswith(("+", "-")) :].strip().partition(self.decimal)
         if self.thousands and self.thousands in whole:
+            # 1,234,567: groups of three, and no leading group of 0, which begins a fraction
             groups = whole.split(self.thousands)
             if not 1 <= len(groups[0]) <= 3 or groups[0][0] == "0" or any(len(group) != 3 for group in groups[1:]):
                 return None
@@ -90,7 +96,8 @@ class NumberFormat(NamedTuple):
         digits = whole + fraction
         if not (digits.isascii() and digits.isdigit()):
             return None
-        return sign * float(f"{whole or '0'}{'.' + fraction if mark and fraction else ''}e{exponent or '0'}")
+        value = sign * float(f"{whole or '0'}{'.' + fraction if mark and fraction else ''}e{exponent or '0'}")
+        return value if math.isfinite(value) else None
 
     def __str__(self) -> str:
         kinds = {"": "no thousands mark", " ": "a space between thousands"}
@@ -102,7 +109,7 @@ class NumberCell(NamedTuple):
 
     number: str
     unit: str = ""
-    outside: str = ""  # ">" or "<" before the number: the value is beyond the range of the sensor
+    over_range: str = ""  # ">" or "<" before the number: the value is beyond the range of the sensor
 
 
 class Numbers(NamedTuple):
@@ -110,25 +117,25 @@ class Numbers(NamedTuple):
 
     values: Array  # NaN where missing or out of range
     units: tuple[str, ...]  # distinct units in the cells; "" for cells without a unit
-    missing: int  # number of missing samples
-    outside: dict[str, int]  # number of cells with each over-range text, such as ">150"
+    missing_count: int
+    over_range: dict[str, int]  # number of cells with each over-range text, such as ">150"
 
 
-def split_cell(text: str, missing: frozenset[str]) -> NumberCell | None:
+def split_cell(text: str, missing_marks: frozenset[str]) -> NumberCell | None:
     """Split a cell into its parts; return None if it is neither a number nor one of the marks for a missing sample."""
     plain = text.translate(PLAIN_CHARACTERS).strip()
-    if plain in missing:
+    if plain in missing_marks:
         return NumberCell("")
     match = CELL.fullmatch(plain)
     if match is None:
         return None
-    return NumberCell(match["number"].strip(), (match["unit"] or "").strip(), (match["outside"] or "")[:1])
+    return NumberCell(match["number"].strip(), (match["unit"] or "").strip(), (match["over_range"] or "")[:1])
 
 
 def read_numbers(
     columns: Mapping[str, Sequence[str]],
     form: TableFormat,
-    cell_name: CellLocator,
+    locate_cell: CellLocator,
     bounds: Mapping[str, tuple[float, float]],
 ) -> tuple[dict[str, Numbers], NumberFormat]:
     """Read columns of text that share one number format; return their numbers by heading, and the format.
@@ -136,25 +143,25 @@ def read_numbers(
     Parameters
     ----------
     columns : cells by heading.
-    cell_name : returns file, line and column of a cell for messages.
+    locate_cell : returns file, line and column of a cell for messages.
     bounds : lowest and highest possible value of a column, by heading; a format that gives a value outside is excluded.
 
     Raises
     ------
     InputError : a cell is no number, no format reads all cells, or several formats give different values.
     """
-    missing = frozenset(mark.translate(PLAIN_CHARACTERS).strip() for mark in form.missing)
+    missing_marks = frozenset(mark.translate(PLAIN_CHARACTERS).strip() for mark in form.missing)
     cells_by_text: dict[str, dict[str, NumberCell]] = {}
     faults: list[str] = []
     for heading, cells in columns.items():
         cells_by_text[heading] = {}
         for text in dict.fromkeys(cells):
-            cell = split_cell(text, missing)
+            cell = split_cell(text, missing_marks)
             if cell is not None:
                 cells_by_text[heading][text] = cell
-            elif len(faults) < 5:
+            elif len(faults) < MOST_FAULTS:
                 message = f"{text!r} is not a number; if it marks a missed sample, add it to missing"
-                faults.append(f"{cell_name(heading, cells.index(text))}: {message}")
+                faults.append(f"{locate_cell(heading, cells.index(text))}: {message}")
     if faults:
         raise InputError(faults)
     attempts = [
@@ -165,12 +172,12 @@ def read_numbers(
     if not readings:  # report the first faulty cell of the format that reads most cells
         number_format, _, fault = max(attempts, key=lambda attempt: sum(map(len, attempt[1].values())))
         heading, text, reason = fault
-        location = cell_name(heading, columns[heading].index(text))
-        advice = "no decimal and thousands mark reads every number of the file"
+        location = locate_cell(heading, columns[heading].index(text))
+        advice = "no combination of decimal and thousands mark reads every number of the file"
         raise InputError(f"{location}: {text!r} {reason} with {number_format}; {advice}")
     number_format, values = readings[0]
     for second_reading in readings[1:]:
-        refuse_ambiguity(columns, cell_name, readings[0], second_reading)
+        refuse_ambiguity(columns, locate_cell, readings[0], second_reading)
     return {
         heading: column_of_numbers(cells, cells_by_text[heading], values[heading]) for heading, cells in columns.items()
     }, number_format
@@ -215,11 +222,11 @@ def read_in_format(
 
 def refuse_ambiguity(
     columns: Mapping[str, Sequence[str]],
-    cell_name: CellLocator,
+    locate_cell: CellLocator,
     first: tuple[NumberFormat, Mapping[str, Mapping[str, float]]],
     second: tuple[NumberFormat, Mapping[str, Mapping[str, float]]],
 ) -> None:
-    """Refuse a file that two number formats read with different values.
+    """Raise if two number formats read a file with different values.
 
     Parameters
     ----------
@@ -233,24 +240,24 @@ def refuse_ambiguity(
         for text, value in first[1][heading].items():
             second_value = second[1][heading][text]
             if value != second_value and not np.isnan(value):
-                location = cell_name(heading, cells.index(text))
+                location = locate_cell(heading, cells.index(text))
                 key = "decimal" if first[0].decimal != second[0].decimal else "thousands"
-                raise InputError(f"{location}: {text!r} reads {value:.15g} or {second_value:.15g}; {key} decides")
+                raise InputError(f"{location}: {text!r} may be {value:.15g} or {second_value:.15g}; {key} decides")
 
 
 def column_of_numbers(
-    cells: Sequence[str], cells_by_text: Mapping[str, NumberCell], values: Mapping[str, float]
+    cells: Sequence[str], parsed_cells: Mapping[str, NumberCell], values: Mapping[str, float]
 ) -> Numbers:
     """Return the numbers of a column; over-range cells become NaN and are counted."""
-    over_range_texts = {text for text, cell in cells_by_text.items() if cell.outside}
-    missing_texts = {text for text, cell in cells_by_text.items() if not cell.number}
+    over_range_texts = {text for text, cell in parsed_cells.items() if cell.over_range}
+    missing_texts = {text for text, cell in parsed_cells.items() if not cell.number}
     value_of = {text: np.nan if text in over_range_texts else value for text, value in values.items()}
-    outside: dict[str, int] = {}
-    missing = 0
+    over_range: dict[str, int] = {}
+    missing_count = 0
     if over_range_texts or missing_texts:
         for text in cells:
             if text in over_range_texts:
-                outside[text.strip()] = outside.get(text.strip(), 0) + 1
-            missing += text in missing_texts
-    units = tuple(sorted({cell.unit for cell in cells_by_text.values() if cell.number}))
-    return Numbers(np.array([value_of[text] for text in cells], np.float64), units, missing, outside)
+                over_range[text.strip()] = over_range.get(text.strip(), 0) + 1
+            missing_count += text in missing_texts
+    units = tuple(sorted({cell.unit for cell in parsed_cells.values() if cell.number}))
+    return Numbers(np.array([value_of[text] for text in cells], np.float64), units, missing_count, over_range)

@@ -83,6 +83,11 @@ def test_a_recording_without_stamps_takes_the_interval_that_is_set(tmp_path):
         (FILE, {"counts_per_turn": None}, "counts_per_turn is needed"),
         (FILE.replace("Velocity", "Speed"), {}, "no line has the headings 'Velocity'"),
         (FILE.replace("1.0,", ">100,"), {}, "holds '>100'; a number was expected"),
+        (
+            FILE.replace("1.0,", "1e999,"),
+            {},
+            "line 2, column 'Active Current .A.': '1e999' is no number with decimal '.'",
+        ),
         (FILE.replace("1.0,", "1.0 V,"), {}, "holds numbers in V; A was expected"),
         (FILE.replace("\n2,", "\n1,"), {}, "line 4.*stands twice"),
         (FILE.replace("\n2,", "\n0.5,"), {}, "line 4.*goes back by 0.0005 s"),

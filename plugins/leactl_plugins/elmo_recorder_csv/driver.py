@@ -176,8 +176,10 @@ class ElmoRecorderCsv(Driver):
         wrap_remarks: list[str],
     ) -> Array:
         numbers, units, settings = numbers_by_heading[heading], self._unit(table, heading, signal), self.settings
-        if numbers.outside:
-            raise InputError(f"{table.path}: {heading!r} holds {next(iter(numbers.outside))!r}; a number was expected")
+        if numbers.over_range:
+            raise InputError(
+                f"{table.path}: {heading!r} holds {next(iter(numbers.over_range))!r}; a number was expected"
+            )
         in_cells = [text for text in numbers.units if text]
         if in_cells and in_cells != [units]:
             raise InputError(f"{table.path}: {heading!r} holds numbers in {', '.join(in_cells)}; {units} was expected")

@@ -160,8 +160,8 @@ def missing_remarks(headings: Mapping[str, str], columns: Mapping[str, Numbers])
     """Remarks on missing and over-range cells, one for each column."""
     remarks = []
     for name, numbers in columns.items():
-        over = ", ".join(f"{mark} {count} times" for mark, count in numbers.outside.items())
-        missing = f"{numbers.missing} missing" if numbers.missing else ""
+        over = ", ".join(f"{mark} {count} times" for mark, count in numbers.over_range.items())
+        missing = f"{numbers.missing_count} missing" if numbers.missing_count else ""
         if over or missing:
             remarks.append(f"{headings[name]}: {', '.join(filter(None, (missing, over)))}: NaN")
     return remarks
