@@ -1,4 +1,4 @@
-"""Gain and phase from the setpoint that a chirp, a multisine or noise moves to the channels that were measured."""
+"""Gain and phase of each measured channel over the setpoint that a chirp, a multisine or noise moves."""
 
 from dataclasses import replace
 
@@ -13,32 +13,33 @@ from leactl.analysis.statistics.regression import Array, t_quantile
 from leactl.runfile.read.reader import Channel, Run, Step
 
 EXCITATIONS = ("chirp", "multisine", "noise")
-RECORD_OVER_LAGS = 8  # length of the record over the longest lag of its covariances
-FEWEST_SAMPLES = 80
-LEAST_POWER = 1e-3  # of the setpoint's greatest power (-30 dB); below it, a frequency is not excited
-LEAST_LINE_POWER = 0.5  # of the greatest power within a line's width; less is leakage of the window
+RECORD_TO_LAG_RATIO = 8  # length of the record over the longest lag of its covariances
+FEWEST_SAMPLES = 80  # ten lags at RECORD_TO_LAG_RATIO
+LEAST_POWER_SHARE = 1e-3  # of the setpoint's greatest power (-30 dB); below it, a frequency is not excited
+LEAST_LINE_POWER_SHARE = 0.5  # of the greatest power within a line's width; less is leakage of the window
 LISTED_FREQUENCIES = 5  # frequencies that are results; all are in the grid
 
 
 def gain_and_phase(
     run: Run, label: str, step: Step, measured: dict[str, Channel]
 ) -> Noted[tuple[list[Estimate], list[Plot], list[Grid]]]:
-    """Return the response of every channel to the setpoint that moves in a step; notes name channels without one.
+    """Return the response of every channel to the setpoint that moves in a step.
 
-    `label` opens the names of the results; `measured` maps names to channels.
+    Notes name the channels without a response. `label` is the prefix of the results' names; `measured` has the channels
+    by name.
     """
     estimates: list[Estimate] = []
     plots: list[Plot] = []
     grids: list[Grid] = []
     setpoint = moving_setpoint(run, step)
     if setpoint is None:
-        note = f"{run.path}: {label}: no setpoint moves in it: gain and phase are not known"
+        note = f"{run.path}: {label}: no setpoint moves in this step, so gain and phase are not known"
         return Noted((estimates, plots, grids), (note,))
-    unknown: dict[str, list[str]] = {}
+    names_by_reason: dict[str, list[str]] = {}
     for name, channel in measured.items():
         response = response_of(setpoint, channel, step)
         if isinstance(response, str):
-            unknown.setdefault(response, []).append(name)
+            names_by_reason.setdefault(response, []).append(name)
             continue
         title, units = f"{label}_{name}", f"{channel.units}/({setpoint.units})"
         if channel.units == setpoint.units:
@@ -46,7 +47,7 @@ def gain_and_phase(
         estimates += gain_and_phase_estimates(title, response, units)
         plots += response_plots(title, response, units)
         grids.append(response_grid(title, step, response, units))
-    notes = tuple(f"{run.path}: {label}: {reason}: {listed(names)}" for reason, names in unknown.items())
+    notes = tuple(f"{run.path}: {label}: {reason}: {listed(names)}" for reason, names in names_by_reason.items())
     return Noted((estimates, plots, grids), notes)
 
 
@@ -67,7 +68,7 @@ def response_of(setpoint: Channel, channel: Channel, step: Step) -> Response | s
     """Return the response at the frequencies that are excited and coherent, or the reason why it is not known."""
     from scipy.ndimage import maximum_filter1d
 
-    if len(channel.time) != len(setpoint.time) or not np.array_equal(channel.time, setpoint.time):
+    if not np.array_equal(channel.time, setpoint.time):
         return "not sampled with the setpoint"
     settled = samples_between(setpoint, step.start + step.settle, step.stop)
     time, reference, response_values = setpoint.time[settled], setpoint.values[settled], channel.values[settled]
@@ -81,48 +82,49 @@ def response_of(setpoint: Channel, channel: Channel, step: Step) -> Response | s
         return "samples are missing"
     if not np.ptp(response_values) > 0.0:
         return "the channel does not move"
-    method = BlackmanTukey(interval, len(time) // RECORD_OVER_LAGS, 0.5 / interval)
-    spectra = method.spectra(reference, response_values)
-    response = method.response(spectra)
+    estimator = BlackmanTukey(interval, len(time) // RECORD_TO_LAG_RATIO, 0.5 / interval)
+    spectra = estimator.spectra(reference, response_values)
+    response = estimator.response(spectra)
     power = spectra.input[: len(response.frequency)]
     # Hann's main lobe reaches two resolved frequencies to either side
-    around = maximum_filter1d(power, 4 * POINTS_PER_RESOLVED + 1)
-    known = (
-        (power > LEAST_POWER * power.max())
-        & (power > LEAST_LINE_POWER * around)
+    greatest_nearby_power = maximum_filter1d(power, 4 * POINTS_PER_RESOLVED + 1)
+    is_usable = (
+        (power > LEAST_POWER_SHARE * power.max())
+        & (power > LEAST_LINE_POWER_SHARE * greatest_nearby_power)
         & (response.coherence >= LEAST_COHERENCE)
     )
-    known &= excited_frequencies(reference, interval, response.frequency, method.resolved)
-    known &= (response.frequency >= method.resolved) & (response.frequency < method.highest)
-    if not known.any():
+    is_usable &= excited_frequencies(reference, interval, response.frequency, estimator.resolved)
+    is_usable &= (response.frequency >= estimator.resolved) & (response.frequency < estimator.highest)
+    if not is_usable.any():
         return f"no frequency with a coherence of {LEAST_COHERENCE:g} or more"
-    return response.at(known)
+    return response.at(is_usable)
 
 
 def excited_frequencies(reference: Array, interval: float, frequency: Array, resolved: float) -> Mask:
     """Return which frequencies the setpoint excites, by a window whose side lobes are below -90 dB."""
     from scipy.ndimage import maximum_filter1d
-    from scipy.signal.windows import blackmanharris  # side lobes below -90 dB
+    from scipy.signal.windows import blackmanharris
 
     power = np.abs(np.fft.rfft((reference - reference.mean()) * blackmanharris(len(reference)))) ** 2
-    bins = np.fft.rfftfreq(len(reference), interval)
-    half = round(0.5 * resolved / bins[1])
-    return np.asarray(np.interp(frequency, bins, maximum_filter1d(power, 2 * half + 1)) > LEAST_POWER * power.max())
+    bin_frequency = np.fft.rfftfreq(len(reference), interval)
+    half_width_bins = round(0.5 * resolved / bin_frequency[1])
+    greatest_nearby_power = maximum_filter1d(power, 2 * half_width_bins + 1)
+    return np.asarray(np.interp(frequency, bin_frequency, greatest_nearby_power) > LEAST_POWER_SHARE * power.max())
 
 
 def gain_and_phase_estimates(title: str, response: Response, units: str) -> list[Estimate]:
-    """Estimate gain and phase at `LISTED_FREQUENCIES` known frequencies, nearest to evenly spaced ones in logarithm."""
-    even = np.geomspace(response.frequency[0], response.frequency[-1], LISTED_FREQUENCIES)
-    indices = dict.fromkeys(int(np.argmin(np.abs(response.frequency - frequency))) for frequency in even)
+    """Estimate gain and phase at the known frequencies nearest to `LISTED_FREQUENCIES` logarithmically spaced ones."""
+    spaced_frequencies = np.geomspace(response.frequency[0], response.frequency[-1], LISTED_FREQUENCIES)
+    indices = dict.fromkeys(int(np.argmin(np.abs(response.frequency - frequency))) for frequency in spaced_frequencies)
     estimates, phases = [], response.phase
     for index in indices:
         suffix = f"at_{response.frequency[index]:.4g}_Hz"
         gain, phase = float(response.gain[index]), float(phases[index])
         std = float(response.relative_std[index])
-        half = std * t_quantile(np.inf)
-        low = max(gain * (1.0 - half), 0.0)
-        estimates.append(Estimate(f"{title}_gain_{suffix}", gain, gain * std, low, gain * (1.0 + half), units))
-        estimates.append(Estimate(f"{title}_phase_{suffix}", phase, std, phase - half, phase + half, "rad"))
+        half_width = std * t_quantile(np.inf)
+        low = max(gain * (1.0 - half_width), 0.0)
+        estimates.append(Estimate(f"{title}_gain_{suffix}", gain, gain * std, low, gain * (1.0 + half_width), units))
+        estimates.append(Estimate(f"{title}_phase_{suffix}", phase, std, phase - half_width, phase + half_width, "rad"))
     return estimates
 
 
@@ -130,8 +132,7 @@ def response_plots(title: str, response: Response, units: str) -> list[Plot]:
     """Return plots of gain, phase and coherence over frequency."""
     shown = plot_slice(len(response.frequency), MOST_POINTS)
     x = tuple(response.frequency[shown].tolist())
-    columns = {f"gain [{units}]": response.gain, "phase [rad]": response.phase}
-    columns["coherence [1]"] = response.coherence
+    columns = {f"gain [{units}]": response.gain, "phase [rad]": response.phase, "coherence [1]": response.coherence}
     plot = Plot("frequency [Hz]", "", (), (), x_log=True)
     return [
         replace(plot, y_label=f"{title} {label}", points=(Series(title, x, tuple(values[shown].tolist())),))
