@@ -67,7 +67,7 @@ class Identity(NamedTuple):
 
 
 class MeasurableRange(NamedTuple):
-    """Measurable range of a quantity, and the path of the setting that defines it."""
+    """Measurable range of a quantity; `place` is the path, in the driver's settings, of the setting that defines it."""
 
     place: tuple[str | int, ...]
     quantity: str

@@ -341,7 +341,7 @@ def test_two_sensors_of_one_torque_are_told_and_nothing_is_moved(checked):
     (statement,) = wrong(examined.statements)
     assert isinstance(examined.end(), AcceptanceFailed)
     assert (statement.device, statement.about) == ("torque_sensor", "torque of test")
-    assert statement.why == "second gives it too, and move and analyses take one"
+    assert statement.why == "second measures it too; `--move` and the analyses take one channel only"
     assert "  devices.torque_sensor.settings.inputs[0]: leave it out, or leave second out" in statement.change
     assert len(examined.outcomes) == 1
 

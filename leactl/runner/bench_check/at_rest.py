@@ -13,11 +13,11 @@ from leactl.runner.request import Request
 SINGLE_IN_ROLE = ("torque", "velocity", "angle", "q_axis_current")  # analyses take one channel of a role
 # A constant channel counts as frozen if its `stuck_s` is at most this multiple of the time that was read: 0.8 s of
 # readings judge a `stuck_s` of 1 s.
-STUCK_SPANS = 1.5
+MOST_STUCK_TIME_OVER_SPAN = 1.5
 
 
 def opening_statements(failures: Mapping[str, str]) -> list[Statement]:
-    """Return for each device whether it answers.
+    """Return a statement for each device on whether it answers.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def opening_statements(failures: Mapping[str, str]) -> list[Statement]:
     ]
 
 
-def at_rest(run: Run, request: Request, reported: Mapping[str, Mapping[str, str]]) -> list[Statement]:
+def statements_at_rest(run: Run, request: Request, reported: Mapping[str, Mapping[str, str]]) -> list[Statement]:
     """Judge identities, notices and channels of a run with every drive off.
 
     Parameters
@@ -43,7 +43,7 @@ def at_rest(run: Run, request: Request, reported: Mapping[str, Mapping[str, str]
 
 
 def _identities(request: Request, reported: Mapping[str, Mapping[str, str]]) -> Iterator[Statement]:
-    """Yield that each device answers, and whether its serial number and firmware are those of the bench file."""
+    """Yield statements on each device: that it answers, and whether serial and firmware are those of the bench file."""
     for device in request.devices:
         identity, stated = reported[device.name], device.entry.facts
         yield Statement(
@@ -73,7 +73,10 @@ def _identities(request: Request, reported: Mapping[str, Mapping[str, str]]) -> 
 
 
 def _notices(run: Run, request: Request) -> Iterator[Statement]:
-    """Yield the warnings and errors that devices gave during the run, but for those on their firmware."""
+    """Yield the warnings and errors that devices gave during the run.
+
+    Those on firmware are left out: `_identities` judges the firmware.
+    """
     names = {device.name for device in request.devices}
     for event in run.events:
         if event.source in names and event.level in ("warning", "error") and not event.message.startswith("firmware "):
@@ -89,7 +92,7 @@ def _channels(run: Run, request: Request) -> Iterator[Statement]:
 
 
 def _measured_twice(run: Run, request: Request) -> Iterator[Statement]:
-    """Yield each further channel of a quantity and role of which an analysis takes one channel only."""
+    """Yield a statement for each channel after the first where analyses take one channel of a quantity and role."""
     settings = {device.name: device.settings for device in request.devices}
     for quantity, role in ((quantity, role) for quantity in SINGLE_IN_ROLE for role in ("test", "load")):
         channels = run.channels(quantity, role)
@@ -99,7 +102,7 @@ def _measured_twice(run: Run, request: Request) -> Iterator[Statement]:
                 ("devices", channel.device, "settings", *(locations[-1][:2] if locations else ())),
                 f"leave it out, or leave {channels[0].device} out, or give it another role",
             )
-            why = f"{channels[0].device} gives it too, and move and analyses take one"
+            why = f"{channels[0].device} measures it too; `--move` and the analyses take one channel only"
             yield Statement(channel.device, f"{quantity} of {role}", StatementVerdict.WRONG, why=why, change=line)
 
 
@@ -117,7 +120,8 @@ def _channel(channel: Channel, request: Request) -> Statement:
     shortest_stuck_s = min((interlock.stuck_s for interlock in interlocks if interlock.stuck_s), default=np.inf)
     verdict, why = StatementVerdict.OK, ""
     missing_share = 1.0 - len(values) / len(channel)
-    constant, span = len(values) >= FEWEST_REPEATS and np.ptp(values) == 0.0, channel.time[-1] - channel.time[0]
+    constant = len(values) >= FEWEST_REPEATS and np.ptp(values) == 0.0
+    span = channel.time[-1] - channel.time[0]  # s
     if mean < low or mean > high:
         verdict, why = StatementVerdict.WRONG, "beyond the bench's limits"
     elif quantity in NEVER_ZERO and not values.any():
@@ -127,10 +131,10 @@ def _channel(channel: Channel, request: Request) -> Statement:
             StatementVerdict.UNDECIDED,
             "constant, as expected at rest; `leactl bench check --move` tests it",
         )
-    elif constant and shortest_stuck_s <= STUCK_SPANS * span:
+    elif constant and shortest_stuck_s <= MOST_STUCK_TIME_OVER_SPAN * span:
         verdict, why = (
             StatementVerdict.WRONG,
-            f"frozen: the same in {len(values)} readings, and stuck_s says that its noise shows",
+            f"frozen: the same in {len(values)} readings, although stuck_s says that noise changes it",
         )
     elif constant:
         verdict, why = (

@@ -14,7 +14,7 @@ from leactl.errors import AcceptanceFailed, DeviceError, InputError, LeactlError
 from leactl.model.motor import Motor
 from leactl.protocol import by_hand
 from leactl.runfile.read.reader import Run
-from leactl.runner.bench_check.at_rest import at_rest, opening_statements
+from leactl.runner.bench_check.at_rest import opening_statements, statements_at_rest
 from leactl.runner.bench_check.statement import Statement, wrong
 from leactl.runner.bench_check.turning import Turning
 from leactl.runner.checked_bench import load_checked
@@ -164,7 +164,7 @@ def check_bench(
     except DeviceError as error:
         return BenchCheck(name, opening_statements(opening_failures(reading_run)), (), error)
     with Run.open(at_rest_outcome.path) as run:
-        statements = at_rest(run, reading_run, at_rest_outcome.reported)
+        statements = statements_at_rest(run, reading_run, at_rest_outcome.reported)
         checked = BenchCheck(name, statements, (at_rest_outcome,), at_rest_outcome.error)
         if turning_run is None or checked.end() is not None:
             return checked
