@@ -1,4 +1,4 @@
-"""Compute the constant current that heats the hottest phase of an actuator to a limit, for ever or within a time.
+"""Compute the constant current that heats an actuator's hottest phase to a limit, in steady state or in a given time.
 
 The model has three phases, each with a third of the winding, and a housing. A constant power-invariant q-axis current
 makes the copper heat R(T) i^2, which is linear in the temperatures, so that the solution is exact. In a turning motor
@@ -14,7 +14,7 @@ from leactl.model.thermal_network import Conductances
 from leactl.model.winding import resistance_ratio
 
 Array = npt.NDArray[np.float64]
-TURNING, STANDING = 1.0 / 3.0, 2.0 / 3.0  # share of the copper heat in the hottest phase
+TURNING_HEAT_SHARE, STANDING_HEAT_SHARE = 1.0 / 3.0, 2.0 / 3.0  # of the copper heat, in the hottest phase
 STEADY_STATE = np.inf  # s, duration of the continuous current
 HIGHEST_CURRENT = 1e12  # A, up to which a current is searched; a millisecond in a milliohm needs below 1e6
 RUNAWAY_RISE = 1e6  # K, returned for a winding whose temperature has no steady state
@@ -31,7 +31,7 @@ class ThermalActuator:
 
 
 def current_for_rise(
-    actuator: ThermalActuator, rise: float, ambient: float, duration: float, share: float = TURNING
+    actuator: ThermalActuator, rise: float, ambient: float, duration: float, hottest_share: float = TURNING_HEAT_SHARE
 ) -> float:
     """Return the constant q-axis current [A] that heats the hottest phase from ambient by `rise` in `duration`.
 
@@ -40,17 +40,17 @@ def current_for_rise(
     rise : temperature rise of the hottest phase above ambient at the end [K].
     ambient : temperature of the air, and of the actuator at the beginning [degC].
     duration : s, `STEADY_STATE` for the continuous current.
-    share : share of the copper heat in the hottest phase, `TURNING` to `STANDING`.
+    hottest_share : share of the copper heat in the hottest phase, `TURNING_HEAT_SHARE` to `STANDING_HEAT_SHARE`.
 
     Returns
     -------
-    The current; NaN if `rise` is not positive, if no current heats the winding as far, as with a resistance or a
-    duration of zero, or if a parameter of the actuator is NaN.
+    The current; NaN if `rise` is not positive, if no current reaches it (zero resistance or duration), or if a
+    parameter of the actuator is NaN.
     """
     from scipy.optimize import brentq
 
     def excess_rise(current: float) -> float:
-        return hottest_rise(actuator, current, ambient, duration, share) - rise
+        return hottest_rise(actuator, current, ambient, duration, hottest_share) - rise
 
     if not excess_rise(0.0) < 0.0:
         return float("nan")
@@ -62,27 +62,31 @@ def current_for_rise(
     return float(brentq(excess_rise, 0.0, upper_current, xtol=1e-9 * upper_current))
 
 
-def hottest_rise(actuator: ThermalActuator, current: float, ambient: float, duration: float, share: float) -> float:
+def hottest_rise(
+    actuator: ThermalActuator, current: float, ambient: float, duration: float, hottest_share: float
+) -> float:
     """Return the rise [K] of the hottest phase above ambient, after `duration` [s] from ambient temperature.
 
-    At most `RUNAWAY_RISE`, which is also returned if the temperature has no steady state; NaN if a parameter is NaN.
+    The rise is capped at `RUNAWAY_RISE`, which is also returned if the temperature has no steady state; it is NaN if a
+    parameter is NaN.
     """
     from scipy.linalg import expm
 
     network = actuator.network
-    shares = np.array([share, 1.0 - share, 0.0])  # of the hottest phase, the other two as one node, and the housing
-    heat = actuator.phase_resistance * current**2 * shares
+    # of the hottest phase, the other two as one node, and the housing
+    heat_shares = np.array([hottest_share, 1.0 - hottest_share, 0.0])
+    heat = actuator.phase_resistance * current**2 * heat_shares
     capacitances = np.array(
         [network.winding_capacitance / 3, 2 * network.winding_capacitance / 3, network.housing_capacitance]
     )
-    thirds = np.array([1.0, 2.0]) / 3.0
+    node_shares = np.array([1.0, 2.0]) / 3.0  # of the winding: the hottest phase, and the other two
     conductance_matrix = np.diag(
         [
-            *(thirds * (network.winding_ambient + network.winding_housing)),
+            *(node_shares * (network.winding_ambient + network.winding_housing)),
             network.winding_housing + network.housing_ambient,
         ]
     )
-    conductance_matrix[:2, 2] = conductance_matrix[2, :2] = -thirds * network.winding_housing
+    conductance_matrix[:2, 2] = conductance_matrix[2, :2] = -node_shares * network.winding_housing
     resistance_factor = resistance_ratio(ambient, actuator.resistance_coefficient, actuator.reference_temperature)
     rates = (np.diag(actuator.resistance_coefficient * heat) - conductance_matrix) / capacitances[:, None]
     heating_at_ambient = heat * resistance_factor / capacitances
@@ -95,4 +99,5 @@ def hottest_rise(actuator: ThermalActuator, current: float, ambient: float, dura
     augmented[:3, :3], augmented[:3, 3] = rates, heating_at_ambient
     with np.errstate(over="ignore", invalid="ignore"):
         hottest = float(expm(augmented * duration)[0, 3])
-    return min(hottest, RUNAWAY_RISE) if np.isfinite(hottest) else RUNAWAY_RISE  # the exponential overflows
+    # the exponential of a runaway overflows
+    return min(hottest, RUNAWAY_RISE) if np.isfinite(hottest) else RUNAWAY_RISE

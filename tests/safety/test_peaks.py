@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from leactl.model.continuous_current import STANDING, TURNING, ThermalActuator, current_for_rise
+from leactl.model.continuous_current import STANDING_HEAT_SHARE, TURNING_HEAT_SHARE, ThermalActuator, current_for_rise
 from leactl.model.motor import load_motor
 from leactl.model.thermal_network import Conductances
 from leactl.safety.thermal.box import Box
@@ -32,7 +32,7 @@ def test_what_is_guaranteed_is_carried_by_the_weakest_actuator():
     box, limit = Box.of(motor), motor.limits.winding_temperature
     for one in peaks(motor, AMBIENT, PEAKS_S):
         corners = itertools.product(("low", "high"), repeat=len(NETWORK))
-        weakest = min(exact(box, ends, limit, one.duration_s, STANDING) for ends in corners)
+        weakest = min(exact(box, ends, limit, one.duration_s, STANDING_HEAT_SHARE) for ends in corners)
         assert 0.99 * weakest < one.current.guaranteed <= weakest
         assert one.torque.guaranteed == pytest.approx(motor.torque_constant * one.current.guaranteed)
         assert one.torque.favourable == pytest.approx(motor.torque_constant * one.current.favourable)
@@ -43,7 +43,7 @@ def test_nominal_peaks_are_those_of_the_exact_solution_or_a_little_less(name):
     motor = load_motor(name)[0]
     box, limit, durations = Box.exact(motor), motor.limits.winding_temperature, (0.5, 20.0, 300.0)
     found = nominal(motor, AMBIENT, durations)
-    for share, told in ((TURNING, found.peaks), (STANDING, found.standing_peaks)):
+    for share, told in ((TURNING_HEAT_SHARE, found.peaks), (STANDING_HEAT_SHARE, found.standing_peaks)):
         true = [exact(box, ("low",) * len(NETWORK), limit, duration, share) for duration in durations]
         ratios = np.array(told) / true
         assert ratios.max() <= 1.0

@@ -132,9 +132,9 @@ def analyze(
             f"{error_prefix}: a winding limit of {limit:g} degC is not above the ambient of {ambient:g} degC"
         )
     notes = setup_notes(runs, ("heated",), "friction and iron loss would heat besides")
-    phase_of_line = phase_share(model)
+    phase_to_line_ratio = phase_share(model)
     records = joined(heating_records(run) for run in runs)
-    notes += [*phase_of_line.notes, *records.notes]
+    notes += [*phase_to_line_ratio.notes, *records.notes]
     fit = fit_network(records.value, Unknowns(camera_offset_std, camera_lag), error_prefix)
     fitted_frames = sum(len(record.time) for record in fit.records)
     left_out = sum(frame_count(run) for run in runs) - fitted_frames
@@ -153,7 +153,7 @@ def analyze(
     estimates = joined(
         [
             network_results(parameters, constants_seen),
-            resistance_results(parameters, line, phase_of_line.value),
+            resistance_results(parameters, line, phase_to_line_ratio.value),
             residual_results(fit, spread),
             steadiness(fit.records),
             camera_results(fit, spread, camera_offset_std),
@@ -167,7 +167,7 @@ def analyze(
         ["line_voltage"],
         ["line_current"],
     )
-    currents = current_capability(parameters, phase_of_line.value, limit, ambient)
+    currents = current_capability(parameters, phase_to_line_ratio.value, limit, ambient)
     if constants_seen < LEAST_CONSTANTS_SEEN:
         currents = [without_value(current) if current.name in STEADY_STATE_RESULTS else current for current in currents]
     notes += remarks(parameters, fit.records, instruments)

@@ -10,7 +10,9 @@ import numpy as np
 from leactl.analysis.estimate import NAN, Estimate, Noted
 from leactl.analysis.heating.network import NetworkFit, camera_temperatures
 from leactl.analysis.heating.parameters import (
+    LINE_RESISTANCE,
     NAMES,
+    RESISTANCE_COEFFICIENT,
     UNITS,
     FittedParameters,
     Instruments,
@@ -100,16 +102,18 @@ def slow_constants_seen(fit: NetworkFit) -> float:
 
 
 def resistance_results(
-    parameters: FittedParameters, line: ResistanceLine, phase_of_line: float
+    parameters: FittedParameters, line: ResistanceLine, phase_to_line_ratio: float
 ) -> Noted[list[Estimate]]:
     """Estimate the resistance at 25 degC, of two leads and of a phase, and its temperature coefficient.
 
-    `phase_of_line` is the resistance of a phase over that between two leads.
+    `phase_to_line_ratio` is the resistance of a phase over that between two leads.
     """
     estimates = [
-        parameters.estimate("line_resistance", "ohm", lambda moved: float(moved.point[5])),
-        parameters.estimate("phase_resistance", "ohm", lambda moved: phase_of_line * float(moved.point[5])),
-        parameters.estimate("resistance_coefficient", "1/K", lambda moved: float(moved.point[6])),
+        parameters.estimate("line_resistance", "ohm", lambda moved: float(moved.point[LINE_RESISTANCE])),
+        parameters.estimate(
+            "phase_resistance", "ohm", lambda moved: phase_to_line_ratio * float(moved.point[LINE_RESISTANCE])
+        ),
+        parameters.estimate("resistance_coefficient", "1/K", lambda moved: float(moved.point[RESISTANCE_COEFFICIENT])),
     ]
     r_squared = Estimate("resistance_r_squared", line.r_squared, NAN, NAN, NAN, "1")
     return Noted([*estimates, r_squared], tuple(not_identifiable(estimates)))

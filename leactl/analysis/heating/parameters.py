@@ -28,6 +28,8 @@ NAMES = (
     "line_resistance",
     "resistance_coefficient",
 )
+# indices in `FittedParameters.point`
+LINE_RESISTANCE, RESISTANCE_COEFFICIENT = NAMES.index("line_resistance"), NAMES.index("resistance_coefficient")
 UNITS = ("K/W", "K/W", "K/W", "J/K", "J/K", "ohm", "1/K")
 NOT_IDENTIFIABLE_STD = 0.5  # relative standard uncertainty, from which a result counts as not identifiable
 RELATIVE_STEP = 1e-4  # of central differences
