@@ -8,6 +8,8 @@ from leactl.emulation.plant.effects.contract import Path, PlantEffect, Value
 from leactl.emulation.plant.effects.lag_and_delay import Lag
 from leactl.emulation.plant.parameters import bounded
 
+SECOND_HARMONIC_SHARE = 0.05  # of an eccentric scale's error: amplitude of two periods a turn over that of one
+
 
 @dataclass(frozen=True)
 class PlantCurrentSensorGain(PlantEffect):
@@ -41,30 +43,32 @@ class PlantCurrentSensorOffset(PlantEffect):
 class PlantEncoderEccentricity(PlantEffect):
     """An encoder whose scale is off centre.
 
-    Error = amplitude sin(angle + phase), and a twentieth of it twice a turn.
+    Error = amplitude (sin x + 0.05 sin 2x), where x = angle + phase.
     """
 
     amplitude: float = bounded(0.0, 0.0, 1.0)  # rad
     phase: float = bounded(0.0, -7.0, 7.0)  # rad
 
     def encoder_error(self, angle: Value) -> Value:
-        """Error with one period a turn, and a small part with two."""
-        turn = angle + self.phase
-        sine = np.sin(turn)
-        return self.amplitude * sine * (1.0 + 0.1 * np.cos(turn))
+        """Return the error [rad]: one period a turn, and a small part with two."""
+        scale_angle = angle + self.phase
+        sine = np.sin(scale_angle)
+        return self.amplitude * sine * (1.0 + 2.0 * SECOND_HARMONIC_SHARE * np.cos(scale_angle))
 
 
 @dataclass(frozen=True)
 class PlantVelocityFilterLag(PlantEffect):
-    """A reported velocity that lags more than the drive's filter does.
-
-    A first-order lag in addition to the filter.
-    """
+    """A velocity reading that has a first-order lag in addition to the drive's filter."""
 
     time_constant: float = bounded(0.001, 1e-6, 10.0)  # s
 
     def velocity_path(self, lanes: int, step_s: float) -> Path:
-        """Return the lag, which starts from rest."""
+        """Return the lag, which starts from rest.
+
+        Parameters
+        ----------
+        lanes : number of plants that are simulated at once.
+        """
         return Lag(self.time_constant, lanes, step_s)
 
 
