@@ -15,7 +15,7 @@ CONNECT_S = 0.3  # a third of the time for a safe state; on a local network a co
 # the cable is plugged in again minutes later.
 UNACKNOWLEDGED_MS = 1000  # the kernel checks it when it would next repeat the bytes: after 1.4 s
 MOST_BYTES = 4096  # of one read
-MEANINGS = {
+ADVICE = {  # by errno
     errno.ECONNREFUSED: "the connection is refused; is the port right, and does another program hold it?",
     errno.EHOSTUNREACH: "it cannot be reached; is it switched on, and on this network?",
     errno.ENETUNREACH: "there is no network to it from here",
@@ -23,7 +23,7 @@ MEANINGS = {
 
 
 class InstrumentSocket:
-    """An open connection whose methods never wait longer than their timeout."""
+    """An open connection; `read` waits at most its timeout, `write` and `close` do not wait."""
 
     def __init__(self, host: str, port: int) -> None:
         self._address = f"{host} port {port}"
@@ -43,9 +43,9 @@ class InstrumentSocket:
             self._socket.setblocking(False)
         except OSError as error:
             self._socket.close()
-            text = f"no answer within {CONNECT_S:g} s; is it switched on, and on this network?"
-            meaning = text if isinstance(error, TimeoutError) else MEANINGS.get(error.errno or 0, error)
-            raise OSError(f"{self._address}: {meaning}") from None
+            no_answer = f"no answer within {CONNECT_S:g} s; is it switched on, and on this network?"
+            advice = no_answer if isinstance(error, TimeoutError) else ADVICE.get(error.errno or 0, error)
+            raise OSError(f"{self._address}: {advice}") from None
 
     def read(self, timeout: float) -> bytes:
         """Return the bytes that have arrived, after a wait of at most `timeout` [s] for the first of them.
@@ -58,12 +58,12 @@ class InstrumentSocket:
         if not ready:
             return b""
         try:
-            data = self._socket.recv(MOST_BYTES)
+            received = self._socket.recv(MOST_BYTES)
         except BlockingIOError:
             return b""
-        if not data:
+        if not received:
             raise OSError(f"{self._address} has closed the connection; end any other program that uses it")
-        return data
+        return received
 
     def write(self, data: bytes) -> int:
         """Write as many bytes as the kernel accepts at once; return their number.
