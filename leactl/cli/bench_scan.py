@@ -58,7 +58,7 @@ def scan(
         print("\n".join(lines), file=sys.stderr)
     text = scan_report.bench_file_part(scanned) if as_yaml else "\n".join(lines)
     if as_json:
-        text = json.dumps(scan_report.answer(scanned))
+        text = json.dumps(scan_report.as_json(scanned))
     stdout_error = print_answer(text.rstrip("\n")) if text else None
     faults = [report.fault for _wire, report in scanned if report.fault]
     end = end or (DeviceError(faults.pop()) if faults else None)

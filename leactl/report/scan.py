@@ -13,27 +13,28 @@ from leactl.driver.probe import CanProbe, Probe
 from leactl.report.terminal import list_line
 from leactl.runner.scan import ScannedWire
 
-FILL_IN = "FILL_IN"
-ROLES = "test, load or bench"
-BOUNDS = {"minimum": "at least", "exclusiveMinimum": "more than", "maximum": "at most"}
-Scanned = Sequence[tuple[ScannedWire, WireReport]]
+FILL_IN = "FILL_IN"  # stands for a value that a scan cannot find
+ROLE_HINT = "test, load or bench"
+# by key of a JSON schema
+BOUND_PHRASES = {"minimum": "at least", "exclusiveMinimum": "more than", "maximum": "at most"}
+ScanResults = Sequence[tuple[ScannedWire, WireReport]]
 
 
-def lines(scanned: Scanned) -> Iterator[str]:
-    """Yield a line for each device that answered, and a line for each note on a wire."""
+def lines(scanned: ScanResults) -> Iterator[str]:
+    """Yield a line for each device that answered, each note, and each wire that is silent or not scanned to its end."""
     for wire, report in scanned:
         for device in report.answered:
-            head = f"{wire.shown:<12} {_address(wire, device):<11} {_driver(device) or '-':<12} "
+            head = f"{wire.shown:<12} {_address(wire, device):<11} {_driver_name(device) or '-':<12} "
             yield list_line(head, "; ".join(_description(device)))
         for note in report.notes:
             yield list_line(f"{wire.shown}: ", note)
         if report.asked and report.complete and not (report.answered or isinstance(wire.buses[0], LineBus)):
             yield f"{wire.shown}: nothing answered"
         if not (report.complete or report.fault):
-            yield f"{wire.shown}: not asked to the end"
+            yield f"{wire.shown}: the scan was stopped before its end"
 
 
-def answer(scanned: Scanned) -> dict[str, Any]:
+def as_json(scanned: ScanResults) -> dict[str, Any]:
     """Return the results of a scan as `--json` prints them."""
     names = _names(scanned)
     wires = [
@@ -52,7 +53,7 @@ def answer(scanned: Scanned) -> dict[str, Any]:
         {
             "wire": wire.shown,
             "address": device.sighting.address,
-            "driver": _driver(device) or None,
+            "driver": _driver_name(device) or None,
             "name": names.get(id(device)),
             "model": device.sighting.identity.model,
             "serial": device.sighting.identity.serial,
@@ -67,20 +68,20 @@ def answer(scanned: Scanned) -> dict[str, Any]:
     return {"wires": wires, "devices": devices, "bench_file": bench_file_part(scanned)}
 
 
-def bench_file_part(scanned: Scanned) -> str:
+def bench_file_part(scanned: ScanResults) -> str:
     """Return the blocks `buses` and `devices` of a bench file; empty if no device has a driver.
 
     FILL_IN stands for values that a scan cannot find.
     """
     names, buses, devices = _names(scanned), [], []
     for wire, report in scanned:
-        with_driver = [device for device in report.answered if _driver(device)]
+        with_driver = [device for device in report.answered if _driver_name(device)]
         if with_driver:
             buses.append(f"  {wire.name}: {_flow_style(_bus_settings(wire, with_driver))}\n")
         devices += [_device_block(names[id(device)], wire, device) for device in with_driver]
     if not devices:
         return ""
-    head = f"# what answered a scan; {FILL_IN}: what it cannot know\n"
+    head = f"# devices that answered a scan; replace each {FILL_IN} by its value, which a scan cannot know\n"
     return f"{head}buses:\n{''.join(buses)}devices:\n{''.join(devices)}"
 
 
@@ -90,7 +91,7 @@ def _device_block(name: str, wire: ScannedWire, device: Answered) -> str:
     driver = registry.load(device.driver)
     schema, hint = driver.Settings.model_json_schema()["properties"], f"; leactl driver info {device.driver}"
     head = f"  {name}:  # {description}\n    driver: {device.driver}\n    bus: {wire.name}\n"
-    text = f"{head}    role: {FILL_IN}  # {ROLES}\n"
+    text = f"{head}    role: {FILL_IN}  # {ROLE_HINT}\n"
     settings = [f"      {_flow_style({key: value})[1:-1]}\n" for key, value in (device.sighting.settings or {}).items()]
     settings += [
         f"      {key}: {FILL_IN}  # {_expected(schema[key], driver.example.get(key))}{hint}\n"
@@ -101,14 +102,13 @@ def _device_block(name: str, wire: ScannedWire, device: Answered) -> str:
 
 def _expected(field: dict[str, Any], example: Any) -> str:
     """Return a text on the values that a setting takes according to its JSON schema; for a list, an example."""
-    field = next((option for option in field.get("anyOf", ()) if option.get("type") != "null"), field)
-    if "enum" in field:
-        return " or ".join(map(str, field["enum"]))
-    if field.get("type") == "array" and example:
+    schema = next((option for option in field.get("anyOf", ()) if option.get("type") != "null"), field)
+    if "enum" in schema:
+        return " or ".join(map(str, schema["enum"]))
+    if schema.get("type") == "array" and example:
         return f"such as {_flow_style(list(example))}"
-    return ", ".join(
-        (str(field.get("type", "")), *(f"{relation} {field[key]}" for key, relation in BOUNDS.items() if key in field))
-    )
+    phrases = [f"{phrase} {schema[key]}" for key, phrase in BOUND_PHRASES.items() if key in schema]
+    return ", ".join((str(schema.get("type", "")), *phrases))
 
 
 def _bus_settings(wire: ScannedWire, answered: Sequence[Answered]) -> dict[str, Any]:
@@ -133,13 +133,13 @@ def _flow_style(value: dict[str, Any] | list[Any]) -> str:
     return str(yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=1000)).strip()
 
 
-def _names(scanned: Scanned) -> dict[int, str]:
+def _names(scanned: ScanResults) -> dict[int, str]:
     """Return unique names of the devices with a driver, by the `id` of the `Answered`."""
     names: dict[int, str] = {}
     namesakes: Counter[str] = Counter()  # number of devices so far with the same driver and address
     for _wire, report in scanned:
         for device in report.answered:
-            if _driver(device):
+            if _driver_name(device):
                 address = "" if device.sighting.address is None else f"_{device.sighting.address}"
                 name = f"{device.driver}{address}"
                 names[id(device)] = f"{name}_{chr(ord('a') + namesakes[name])}" if namesakes[name] else name
@@ -147,14 +147,14 @@ def _names(scanned: Scanned) -> dict[int, str]:
     return names
 
 
-def _driver(device: Answered) -> str:
+def _driver_name(device: Answered) -> str:
     """Return the name of the driver of a device; empty if there is none."""
     return device.driver if device.sighting.settings is not None else ""
 
 
 def _missing_settings(device: Answered) -> list[str]:
     """Return the keys of a device in a bench file whose values a scan cannot find."""
-    if not _driver(device):
+    if not _driver_name(device):
         return []
     return ["role", *settings_left_open(registry.load(device.driver), device.sighting)]
 
@@ -168,7 +168,10 @@ def _address(wire: ScannedWire, device: Answered) -> str:
 
 
 def _description(device: Answered) -> list[str]:
-    """Return texts on the identity of a device; the last one has its settings in a bench file."""
+    """Return texts on the identity of a device.
+
+    The last text lists its settings for a bench file, or says that no installed driver is for it.
+    """
     identity, settings = device.sighting.identity, device.sighting.settings
     texts = [
         identity.model or "does not say what it is",
@@ -181,7 +184,7 @@ def _description(device: Answered) -> list[str]:
         entries += [f"{key}: {FILL_IN}" for key in _missing_settings(device)]
         texts.append(f"in a bench file {', '.join(entries)}")
     else:
-        texts.append("no driver here is for it")
+        texts.append("no installed driver is for it")
     return [_printable(text) for text in texts if text]
 
 

@@ -137,7 +137,7 @@ def test_what_was_seen_is_told_where_a_person_stops_it(served):
     silent.close()
     assert process.returncode == 4
     assert "BK Precision 1688B" in out
-    assert out.splitlines()[-1] == f"{silent.path}: not asked to the end"
+    assert out.splitlines()[-1] == f"{silent.path}: the scan was stopped before its end"
     assert err.splitlines()[-1] == "leactl: stopped by SIGINT"
 
 
