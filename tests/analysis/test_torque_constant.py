@@ -185,7 +185,7 @@ def test_a_current_of_noise_alone_is_refused(bench):
         columns["q_axis_current"] = bench.rng.normal(0.0, 0.05, len(columns["q_axis_current"]))
 
     path = bench.torque(edit=lose_current)
-    with pytest.raises(NotIdentifiable, match="levels 10 times further apart than that are needed"):
+    with pytest.raises(NotIdentifiable, match=r"its means are known to 0\.0053; a spread above 0\.053 is needed"):
         analyzed(analyze, path)
 
 

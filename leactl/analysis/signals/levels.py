@@ -1,7 +1,7 @@
 """Held levels of runs: the mean of each channel over the settled part of each hold, with its standard error.
 
-Channels live in streams with clocks of their own; each is averaged on its own stamps. Every hold gives one point, so a
-level that is repeated gives one point a repeat.
+Channels live in streams with clocks of their own; each is averaged on its own stamps. Every hold gives one point:
+a level that is repeated gives a point for each repeat.
 """
 
 import math
@@ -21,13 +21,15 @@ DIRECTIONS = {"rising": 1, "falling": -1}
 FEWEST_SAMPLES = 3
 LEAST_COVERED_SHARE = 0.5  # of a settled part, that its samples must span
 MOST_MISSING_SHARE = 0.01  # of the samples; a note names a larger share
-LEAST_SPREAD_RATIO = 10.0  # spread of the levels over the error of one; below it, these errors bias the slope
-SOKAL_WINDOW = 5.0  # lags summed over the integrated autocorrelation time (Sokal 1997, section 3)
+# smallest spread of the means over their standard error; below it, errors of the regressor bias the slope
+LEAST_SPREAD_RATIO = 10.0
+# lags summed, as a multiple of tau, which is twice Sokal's integrated autocorrelation time (1997, section 3)
+SOKAL_WINDOW = 5.0
 
 
 @dataclass(frozen=True)
 class Hold:
-    """One settled hold of a setpoint."""
+    """A hold of a setpoint, limited to its settled part."""
 
     setpoint: float
     direction: int  # 1 reached by rising, -1 by falling, 0 if not stated
@@ -84,13 +86,13 @@ class HoldMeans:
 class HoldSelector:
     """Selects the holds of an experiment by the key of their setpoint and the role of the actuator."""
 
-    key: str
+    key: str  # of the setpoint in a step's parameters, such as current_A
     unit: str
     role: str = "test"
-    unstated_role: str = ""  # of a hold that states none; empty: the role that is selected
+    unstated_role: str = ""  # role of a hold that states none; empty: `role`
 
     def holds_of(self, run: Run) -> list[Hold]:
-        """Return the steps `hold` of a run that state this setpoint, in order."""
+        """Return the holds of a run that state this setpoint for this role, in order."""
         holds = []
         for step in run.steps:
             setpoint = step.parameters.get(self.key)
@@ -99,6 +101,7 @@ class HoldSelector:
             if step.name == "hold" and numeric and role == self.role:
                 direction = DIRECTIONS.get(str(step.parameters.get("direction", "")), 0)
                 settled = step.start + step.settle
+                # mypy does not see that `numeric` implies a number
                 holds.append(Hold(float(setpoint), direction, settled, step.stop, self.unit))  # type: ignore[arg-type]
         return holds
 
@@ -121,7 +124,7 @@ def gather_means(
 
     Parameters
     ----------
-    quantities : of the channels; each has an entry in `means`, `standard_errors` and `quarter_means` of the answer.
+    quantities : names; each has an entry in `means`, `standard_errors` and `quarter_means` of the answer.
     read : returns the channel of a quantity, NaN for readings that must not count.
     hold_selector : selects the holds.
 
@@ -134,7 +137,7 @@ def gather_means(
     rows: list[tuple[int, Hold, list[SettledMean]]] = []
     notes: list[str] = []
     units: dict[str, str] = {}
-    for number, run in enumerate(runs):
+    for run_index, run in enumerate(runs):
         for quantity in quantities:
             if not run.has(quantity):  # a missing channel is reported before any fault of the others
                 run.channel(quantity)
@@ -144,12 +147,12 @@ def gather_means(
             if units.setdefault(channel.quantity, channel.units) != channel.units:
                 earlier = units[channel.quantity]
                 raise InputError(f"{run.path}: {channel.quantity} in {channel.units}, in {earlier} in the runs before")
-        run_rows = _rows_of(run, number, channels, hold_selector)
+        run_rows = _rows_of(run, run_index, channels, hold_selector)
         rows += run_rows.value
         notes += [*(note for reading in readings for note in reading.notes), *run_rows.notes]
     columns = {quantity: [row_means[index] for _, _, row_means in rows] for index, quantity in enumerate(quantities)}
     hold_means = HoldMeans(
-        run_index=np.array([number for number, _, _ in rows]),
+        run_index=np.array([run_index for run_index, _, _ in rows]),
         setpoint=np.array([hold.setpoint for _, hold, _ in rows]),
         direction=np.array([hold.direction for _, hold, _ in rows]),
         means={name: np.array([mean.value for mean in means]) for name, means in columns.items()},
@@ -162,9 +165,9 @@ def gather_means(
 
 
 def _rows_of(
-    run: Run, number: int, channels: Sequence[Channel], hold_selector: HoldSelector
+    run: Run, run_index: int, channels: Sequence[Channel], hold_selector: HoldSelector
 ) -> Noted[list[tuple[int, Hold, list[SettledMean]]]]:
-    """Return a row for each hold with enough data: the run's number, the hold, and the mean of each channel."""
+    """Return a row for each hold with enough data: the index of the run, the hold, and the mean of each channel."""
     holds = hold_selector.holds_of(run)
     left_out: dict[str, list[str]] = {}
     rows = []
@@ -174,7 +177,7 @@ def _rows_of(
         if lacking:
             left_out.setdefault(f"too little {' and '.join(lacking)} in the settled part", []).append(str(hold))
         else:
-            rows.append((number, hold, [mean for mean in means if mean is not None]))
+            rows.append((run_index, hold, [mean for mean in means if mean is not None]))
     notes = tally(left_out, f"{run.path}")
     if not rows:
         finding = f"{len(holds)} holds, none with data" if holds else f"no step named 'hold' with {hold_selector.key}"
@@ -190,9 +193,12 @@ def _rows_of(
 
 
 def settled_mean(channel: Channel, start: float, stop: float) -> SettledMean | None:
-    """Average the samples from start to before stop [s]; None with too few, or where the record ends too soon."""
-    samples_in = samples_between(channel, start, stop)
-    values, time = channel.values[samples_in], channel.time[samples_in]
+    """Average the samples from start to before stop [s].
+
+    Return None with fewer than `FEWEST_SAMPLES` samples, or if they span less than `LEAST_COVERED_SHARE` of the time.
+    """
+    in_interval = samples_between(channel, start, stop)
+    values, time = channel.values[in_interval], channel.time[in_interval]
     finite = np.isfinite(values)
     count = int(finite.sum())
     if count < FEWEST_SAMPLES or np.ptp(time[finite]) < LEAST_COVERED_SHARE * (stop - start):
@@ -228,6 +234,7 @@ def standard_error(values: Array) -> float:
         return math.nan
     deviation = np.where(finite, values - values[finite].mean(), 0.0)
     square_sum = float(deviation @ deviation)
+    # constant but for rounding, 1e-15 of the largest value
     if square_sum <= 1e-30 * count * float(np.nanmax(np.abs(values))) ** 2:
         return 0.0
     size = 1 << (2 * len(values) - 1).bit_length()
@@ -235,33 +242,35 @@ def standard_error(values: Array) -> float:
     correlation = np.fft.irfft(np.abs(spectrum) ** 2, size)[: len(values)] / square_sum
     tau = 2.0 * np.cumsum(correlation) - 1.0
     long_enough = np.flatnonzero(np.arange(len(tau)) >= SOKAL_WINDOW * tau)
+    # without a window that is long enough, tau is at least about this
     correlation_samples = float(tau[long_enough[0]]) if len(long_enough) else len(values) / SOKAL_WINDOW
     return math.sqrt(square_sum / (count - 1) * max(correlation_samples, 1.0) / count)
 
 
-def require_levels(error_prefix: str, regressor: str, quantity: str, levels: HoldMeans) -> None:
+def require_levels(error_prefix: str, regressor: str, quantity: str, hold_means: HoldMeans) -> None:
     """Raise if the means of a regressor over one hold or more do not determine a slope.
 
     Parameters
     ----------
+    error_prefix : text before a message, such as the path of the run.
     regressor : name of the regressor in messages.
-    quantity : key of its means and their standard errors in `levels`.
+    quantity : key of its means and their standard errors in `hold_means`.
 
     Raises
     ------
     NotIdentifiable : fewer than two distinct setpoints, or means whose spread is at most `LEAST_SPREAD_RATIO` times
         their error.
     """
-    means, errors = levels.means[quantity], levels.standard_errors[quantity]
-    distinct = np.unique(np.round(levels.setpoint, 9))
+    means, errors = hold_means.means[quantity], hold_means.standard_errors[quantity]
+    distinct = np.unique(np.round(hold_means.setpoint, 9))
     if len(distinct) < 2:
         raise NotIdentifiable(
-            f"{error_prefix}: found one level ({distinct[0]:g} {levels.holds[0].unit} in {len(levels)} holds); "
+            f"{error_prefix}: found one level ({distinct[0]:g} {hold_means.holds[0].unit} in {len(hold_means)} holds); "
             "two distinct levels or more are needed"
         )
     spread, error = float(np.std(means)), math.sqrt(float(np.mean(errors**2)))
     if spread <= LEAST_SPREAD_RATIO * error:
         raise NotIdentifiable(
             f"{error_prefix}: the {regressor} of {len(means)} holds is spread by {spread:.2g}, its means are known to"
-            f" {error:.2g}; levels {LEAST_SPREAD_RATIO:g} times further apart than that are needed"
+            f" {error:.2g}; a spread above {LEAST_SPREAD_RATIO * error:.2g} is needed"
         )
