@@ -516,9 +516,9 @@ def test_a_flag_that_is_only_read_while_it_switches_is_told(monkeypatch, tmp_pat
 
 def test_a_display_s_steps_are_allowed_for_and_readings_that_are_kept_are_not():
     true = BASES["torque"] * (1.0 + RISE * np.arange(100) / 100)
-    measuring.compare("torque", np.round(true, 1), true)
+    measuring.expect_true_values("torque", np.round(true, 1), true)
     with pytest.raises(Broken, match="torque reads"):
-        measuring.compare("torque", np.repeat(true[::20], 20), true)
+        measuring.expect_true_values("torque", np.repeat(true[::20], 20), true)
 
 
 class OffByOne(ElmoProbe):

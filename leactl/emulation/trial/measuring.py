@@ -21,43 +21,54 @@ ABSOLUTE_TOLERANCE = 1e-3
 LEAST_MEASURED_S = 5.0  # for a rise by RISE, so that a quantity changes by less than VALUE_TOLERANCE in MOST_DELAY_S
 LEAST_SAMPLES = 10  # of the slowest channel
 LONGEST_INTERVAL_S = 60.0  # between two samples of the slowest channel
-MOST_POLLS, LEAST_POLL_S = 500, 0.002  # calls of `take` during a measurement, and the shortest time between two of them
+FEWEST_POLLS = 500  # calls of `take` in a measurement, unless they would be less than LEAST_POLL_S apart
+LEAST_POLL_S = 0.002  # shortest time between two calls of `take`
 MOST_STEP_SHARE = 0.25  # largest step between two values of a display, as a share of the quantity's rise
 MULTIPLE_TOLERANCE = 0.01  # largest difference of a value from a multiple of the step, as a share of the step
 RECORDED_S = 20.0  # duration for which the machine is recorded into files
 MACHINE_STEP_S = 0.01  # time between two values of the machine while it is recorded
 FEWEST_ROWS = 4  # of a record
 SLOPE_TOLERANCE = 0.05  # largest error of a record's slope, as a share of the true one
+UNPLUGGED_S = 1.0  # duration for which an unplugged device is polled
+LOST_AFTER_S = 0.5  # time after which an unplugged device gives no reading
 MACHINE_QUANTITIES = ("q_axis_current", "velocity", "angle", "bus_voltage")  # channels of a drive's own recorder
-Samples = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]  # by channel, times and values
+SamplesByChannel = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]  # by channel, times and values
 
 
 def take_samples(
     stand: Stand, seconds: float, poll_s: float = LEAST_POLL_S
-) -> tuple[Samples, list[tuple[float, float]]]:
-    """Read a device while time passes.
+) -> tuple[SamplesByChannel, list[tuple[float, float]]]:
+    """Poll a device for a time [s].
 
-    Returns the samples of each channel, and for each row its stamp and the time at which it was read.
+    Returns
+    -------
+    samples : times [s] and values of each channel.
+    row_times : of each row, its stamp and the time at which it was read [s].
     """
     gathered: dict[str, tuple[list[float], list[float]]] = {}
-    moments: list[tuple[float, float]] = []
+    row_times: list[tuple[float, float]] = []
     names = {spec.name: [channel.name for channel in spec.channels] for spec in stand.driver.streams}
     end = stand.clock.now() + seconds
     while stand.clock.now() < end:
         for item in stand.driver.take():
             rows: Sequence[Row] = list(item.rows()) if isinstance(item, SampleBlock) else [item]
             for row in rows:
-                moments.append((row.time, stand.clock.now()))
+                row_times.append((row.time, stand.clock.now()))
                 for name, value in zip(names[row.stream], row.values, strict=True):
                     times, values = gathered.setdefault(name, ([], []))
                     times.append(row.time)
                     values.append(float(value))
         stand.wait(poll_s)
-    return {name: (np.asarray(times), np.asarray(values)) for name, (times, values) in gathered.items()}, moments
+    return {name: (np.asarray(times), np.asarray(values)) for name, (times, values) in gathered.items()}, row_times
 
 
 def longest_interval(stand: Stand) -> float:
-    """Time [s] between two samples of the slowest channel, from the first two stamps of each."""
+    """Return the time [s] between two samples of the slowest channel, from the first two stamps of each channel.
+
+    Raises
+    ------
+    Broken : a channel has fewer than two samples in twice `LONGEST_INTERVAL_S`.
+    """
     names = [channel.name for spec in stand.driver.streams for channel in spec.channels]
     stamps: dict[str, list[float]] = {name: [] for name in names}
     end, seconds = stand.clock.now() + 2.0 * LONGEST_INTERVAL_S, 2.0 * LEAST_POLL_S
@@ -77,11 +88,12 @@ def measures_true_values(stand: Stand) -> None:
     interval = longest_interval(stand)
     seconds = max(LEAST_MEASURED_S, LEAST_SAMPLES * interval)
     stand.bench.rise(seconds, interval)
-    began, poll_s = stand.clock.now(), max(LEAST_POLL_S, min(seconds / MOST_POLLS, 0.5 * MOST_DELAY_S))
-    samples, moments = take_samples(stand, seconds, poll_s)
-    early = [read_at - stamp for stamp, read_at in moments] or [0.0]
-    if min(early) < -1e-9 or max(early) > MOST_DELAY_S + seconds / max(len(moments), 1):
-        raise Broken(f"stamps lie {min(early):.3g} to {max(early):.3g} s before the moment at which a sample is taken")
+    began, poll_s = stand.clock.now(), max(LEAST_POLL_S, min(seconds / FEWEST_POLLS, 0.5 * MOST_DELAY_S))
+    samples, row_times = take_samples(stand, seconds, poll_s)
+    reading_delays = [read_at - stamp for stamp, read_at in row_times] or [0.0]
+    shortest, longest = min(reading_delays), max(reading_delays)
+    if shortest < -1e-9 or longest > MOST_DELAY_S + seconds / max(len(row_times), 1):
+        raise Broken(f"stamps lie {shortest:.3g} to {longest:.3g} s before the moment at which a sample is taken")
     channels = {channel.name: channel for spec in stand.driver.streams for channel in spec.channels}
     for name, channel in channels.items():
         times, values = samples.get(name, (np.empty(0), np.empty(0)))
@@ -95,33 +107,40 @@ def measures_true_values(stand: Stand) -> None:
             times, values = times[constant], values[constant]
             if not len(times):
                 raise Broken(f"{name}: all samples come less than {MOST_DELAY_S:g} s before the flag switches")
-        compare(name, values, np.asarray(stand.bench.true_value(channel.quantity, times), np.float64))
+        expect_true_values(name, values, np.asarray(stand.bench.true_value(channel.quantity, times), np.float64))
 
 
 def is_flag_constant(stand: Stand, quantity: str, times: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether a flag is constant for `MOST_DELAY_S` after each time [s]: an instrument may read it a little later."""
+    """Return whether a flag is constant for `MOST_DELAY_S` after each time [s], shape (samples,).
+
+    An instrument may read the flag that much later.
+    """
     before, after = (stand.bench.true_value(quantity, times + delay) for delay in (0.0, MOST_DELAY_S))
     return np.asarray(before == after, np.bool_)
 
 
-def compare(name: str, values: NDArray[np.float64], true: NDArray[np.float64]) -> None:
+def expect_true_values(name: str, values: NDArray[np.float64], true_values: NDArray[np.float64]) -> None:
     """Raise Broken if the measured values differ from the true ones."""
     if missing := int(np.isnan(values).sum()):
         raise Broken(f"{name}: {missing} of {len(values)} samples are NaN although the device works")
-    tolerance = VALUE_TOLERANCE * float(np.max(np.abs(true))) + ABSOLUTE_TOLERANCE + display_step(values, true)
-    difference = np.abs(values - true)
+    largest = float(np.max(np.abs(true_values)))
+    tolerance = VALUE_TOLERANCE * largest + ABSOLUTE_TOLERANCE + display_step(values, true_values)
+    difference = np.abs(values - true_values)
     if float(np.max(difference)) > tolerance:
         worst = int(np.argmax(difference))
-        reading, expected = values[worst], true[worst]
-        ratio = float(np.sum(values * true) / max(float(np.sum(true * true)), 1e-12))
+        reading, expected = values[worst], true_values[worst]
+        ratio = float(np.sum(values * true_values) / max(float(np.sum(true_values * true_values)), 1e-12))
         raise Broken(f"{name} reads {reading:.6g} where {expected:.6g} is true; {ratio:.4g} times the true values")
 
 
-def display_step(values: NDArray[np.float64], true: NDArray[np.float64]) -> float:
-    """Step of which all values of a display are multiples; 0 if there is none, or if it hides the rise."""
+def display_step(values: NDArray[np.float64], true_values: NDArray[np.float64]) -> float:
+    """Return the step of which all values of a display are multiples.
+
+    Return 0 if there is none, or if it exceeds `MOST_STEP_SHARE` of the rise.
+    """
     steps = np.diff(np.unique(values))
     step = float(np.min(steps)) if len(steps) else 0.0
-    if not 0.0 < step <= MOST_STEP_SHARE * float(np.ptp(true)):
+    if not 0.0 < step <= MOST_STEP_SHARE * float(np.ptp(true_values)):
         return 0.0
     counts = values / step
     return step if float(np.max(np.abs(counts - np.round(counts)))) < MULTIPLE_TOLERANCE else 0.0
@@ -133,11 +152,11 @@ def reports_disconnection(stand: Stand) -> None:
     take_samples(stand, 0.2)
     stand.cut()
     try:
-        samples, _ = take_samples(stand, 1.0)
+        samples, _ = take_samples(stand, UNPLUGGED_S)
     except DeviceError:
         return
     late_readings = sum(
-        int(np.sum(np.isfinite(values[times > stand.clock.now() - 0.5]))) for times, values in samples.values()
+        int(np.sum(np.isfinite(values[times > stand.clock.now() - LOST_AFTER_S]))) for times, values in samples.values()
     )
     if late_readings:
         raise Broken(f"{late_readings} readings of the last half second have come although the device is unplugged")
@@ -175,7 +194,7 @@ def reads_exported_files(stand: Stand) -> None:
         stand.wait(MACHINE_STEP_S)
     files = source.exports.fresh()
     if not files:
-        raise Broken(f"its far end has left no file after {RECORDED_S:g} s")
+        raise Broken(f"the emulated instrument has written no file within {RECORDED_S:g} s")
     record = source.read_files(files)
     if len(record.time) < FEWEST_ROWS:
         raise Broken(f"{len(record.time)} rows are read of {RECORDED_S:g} s; {FEWEST_ROWS} were expected at least")
@@ -183,19 +202,22 @@ def reads_exported_files(stand: Stand) -> None:
         raise Broken("stamps of a record do not increase")
     for column, channel in enumerate(record.channels):
         low, high = (float(bench.true_value(channel.quantity, time)) for time in (0.0, end))
-        compare_record(channel.name, record.time, record.values[:, column], low, high)
+        expect_true_rise(channel.name, record.time, record.values[:, column], low, high)
 
 
-def compare_record(name: str, time: NDArray[np.float64], values: NDArray[np.float64], low: float, high: float) -> None:
+def expect_true_rise(
+    name: str, time: NDArray[np.float64], values: NDArray[np.float64], low: float, high: float
+) -> None:
     """Raise Broken if a recorded channel differs from a linear rise; a record may begin before the rise."""
     lowest, highest = (1.0 - VALUE_TOLERANCE) * low, (1.0 + VALUE_TOLERANCE) * high
     if np.isnan(values).any() or values.min() < lowest or values.max() > highest:
         raise Broken(f"{name} reads {values.min():.5g} to {values.max():.5g}; {low:.5g} to {high:.5g} is true")
     second_half = slice(len(time) // 2, None)
-    slope, true = float(np.polyfit(time[second_half] - time[-1], values[second_half], 1)[0]), RISE * low / RECORDED_S
-    if abs(slope - true) > SLOPE_TOLERANCE * true:
+    slope = float(np.polyfit(time[second_half] - time[-1], values[second_half], 1)[0])
+    true_slope = RISE * low / RECORDED_S
+    if abs(slope - true_slope) > SLOPE_TOLERANCE * true_slope:
         raise Broken(
-            f"{name} rises by {slope:.4g} in a second of its record where {true:.4g} is true: its unit of time?"
+            f"{name} rises by {slope:.4g} in a second of its record where {true_slope:.4g} is true: its unit of time?"
         )
 
 
