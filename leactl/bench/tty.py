@@ -13,7 +13,7 @@ from contextlib import suppress
 from leactl.bench.benchfile import SerialBus
 
 MOST_BYTES = 4096  # of one read
-MEANINGS = {
+ADVICE = {  # by errno
     errno.ENOENT: "no such device; is it plugged in and switched on?",
     errno.EACCES: "no permission; add the user to group dialout",
     errno.EAGAIN: "another program holds it",
@@ -21,7 +21,7 @@ MEANINGS = {
 
 
 class Tty:
-    """An open serial device whose methods never wait longer than their timeout."""
+    """An open serial device; `read` waits at most its timeout, `write` and `close` do not wait."""
 
     def __init__(self, bus: SerialBus) -> None:
         import serial
@@ -39,8 +39,8 @@ class Tty:
                 exclusive=True,
             )
         except (OSError, ValueError, termios.error) as error:
-            number = getattr(error, "errno", None)
-            raise OSError(f"{bus.port}: {MEANINGS.get(number or 0, error)}") from None
+            error_number = getattr(error, "errno", None)
+            raise OSError(f"{bus.port}: {ADVICE.get(error_number or 0, error)}") from None
         self._port = bus.port
         self._descriptor = self._serial.fileno()
 
@@ -55,12 +55,12 @@ class Tty:
         if not ready:
             return b""
         try:
-            data = os.read(self._descriptor, MOST_BYTES)
+            received = os.read(self._descriptor, MOST_BYTES)
         except BlockingIOError:
             return b""
-        if not data:  # a device that was unplugged is always ready and has no bytes
+        if not received:  # a device that was unplugged is always ready and has no bytes
             raise OSError(f"nothing is at the other end of {self._port}; check its cable and plug it in again")
-        return data
+        return received
 
     def write(self, data: bytes) -> int:
         """Write as many bytes as the kernel accepts at once; return their number.
