@@ -1,4 +1,5 @@
-"""Directories for state that outlives a process: of benches on real buses per machine, of rehearsals per user.
+"""Directories for state that outlives a process: one of the machine for benches on real buses, one of each user for
+rehearsals.
 
 Files in the machine's directory belong to every login: they are made anew or opened as they are, never through a link,
 never blocking, and written in place, since in a sticky directory nobody may remove another user's file.
@@ -26,7 +27,7 @@ MOST_BYTES = 1 << 16  # of a file of state, most of which have a few hundred
 
 @dataclass(frozen=True)
 class StateFolder:
-    """A directory of state, with the reason if it should be the one that all users share and is not."""
+    """A directory of state; `fault` says why it is not the directory that all users share."""
 
     directory: Path
     shared: bool  # by all users of this machine
@@ -34,10 +35,10 @@ class StateFolder:
 
     @property
     def runs(self) -> Path:
-        """Folder for files of runs under way; none below a shared directory, where others could exchange it."""
+        """Folder for files of runs under way; a shared directory has no subfolder: another user could exchange it."""
         return self.directory if self.shared else self.directory / "runs"
 
-    def windings(self, actuator: str) -> Path:
+    def winding_file(self, actuator: str) -> Path:
         """Return the file of one actuator's winding memory."""
         if self.shared:
             return self.directory / f"{actuator}.thermal.json"
@@ -49,14 +50,14 @@ def state_directory() -> Path:
 
     Raises
     ------
-    InputError : there is neither, nor a home; or `LEACTL_STATE` is relative, and would depend on the working folder.
+    InputError : neither variable is set and the user has no home directory; or `LEACTL_STATE` is a relative path.
     """
-    named = os.environ.get("LEACTL_STATE")
-    if named:
-        return _absolute("LEACTL_STATE", named)
+    text = os.environ.get("LEACTL_STATE")
+    if text:
+        return _absolute("LEACTL_STATE", text)
     xdg = os.environ.get("XDG_STATE_HOME", "")
     try:
-        # the specification has relative paths ignored: they would be another directory in every folder
+        # the XDG specification demands that relative paths be ignored: they would differ with the working folder
         return (Path(xdg) if Path(xdg).is_absolute() else Path.home() / ".local" / "state") / "leactl"
     except RuntimeError:
         raise InputError("there is no home directory for leactl's state; set LEACTL_STATE to a directory") from None
@@ -70,10 +71,10 @@ def of_user() -> StateFolder:
 def of_machine() -> StateFolder:
     """Return the folder of this machine's state for all users; if it is not usable, the user's folder with the reason.
 
-    `LEACTL_MACHINE_STATE` stands for /var/lib/leactl in tests of leactl itself.
+    `LEACTL_MACHINE_STATE` replaces /var/lib/leactl in tests of leactl itself.
     """
     directory = _machine_directory()
-    fault = _fault_of_shared(directory)
+    fault = _make_shared_directory(directory)
     return StateFolder(state_directory(), shared=False, fault=fault) if fault else StateFolder(directory, shared=True)
 
 
@@ -102,7 +103,7 @@ def reachable() -> tuple[list[StateFolder], list[str]]:
             faults.append(str(error))
             continue
         if os.path.lexists(folder.runs) and not folder.runs.is_dir():
-            faults.append(f"{folder.runs}: a directory of runs was expected; what runs there cannot be seen")
+            faults.append(f"{folder.runs}: a directory of runs was expected; runs under way there cannot be listed")
         else:
             reached.append(folder)
     return reached, faults
@@ -114,13 +115,13 @@ def examine() -> "HostFinding":
 
     directory = _machine_directory()
     locks = "locks in the kernel, shared by all users; trip latches and winding memory in"
-    fault = _unusable(directory)
+    fault = _why_unusable(directory)
     if not fault and os.lstat(directory).st_mode & SHARED_DIRECTORY_MODE != SHARED_DIRECTORY_MODE:
         fault = f"{directory}: not every user can write there"
     if not fault or (not os.path.lexists(directory) and os.access(directory.parent, os.W_OK)):  # the first run makes it
         return HostFinding("state", True, False, f"{locks} {directory}, shared by all users")
     remedy = f"sudo install -d -o root -m 1777 {shlex.quote(str(directory))}"
-    used = state_directory() if _unusable(directory) else directory
+    used = state_directory() if _why_unusable(directory) else directory
     return HostFinding("state", False, False, f"{locks} {used}, this user's alone ({fault})", remedy)
 
 
@@ -129,18 +130,18 @@ def read(path: Path) -> bytes:
 
     Raises
     ------
-    FileNotFoundError : there is no file, and no link either.
+    FileNotFoundError : nothing is at the path.
     OSError : the file is not regular, a link, or larger than `MOST_BYTES`.
     """
     descriptor = os.open(path, os.O_RDONLY | NO_LINK | AT_ONCE | AS_BYTES)
     try:
         _expect_regular(descriptor, path)
-        text = os.read(descriptor, MOST_BYTES + 1)
+        content = os.read(descriptor, MOST_BYTES + 1)
     finally:
         os.close(descriptor)
-    if len(text) > MOST_BYTES:
+    if len(content) > MOST_BYTES:
         raise OSError(f"more than {MOST_BYTES} bytes")
-    return text
+    return content
 
 
 def open_file(path: Path, shared: bool) -> int:
@@ -158,7 +159,7 @@ def open_file(path: Path, shared: bool) -> int:
         # without O_CREAT: in a sticky directory the kernel refuses that for another user's file (fs.protected_regular)
         descriptor = os.open(path, flags)
     else:
-        if shared:  # on Linux alone
+        if shared:  # only Linux has a shared directory, so fchmod exists
             os.fchmod(descriptor, SHARED_FILE_MODE)
     try:
         _expect_regular(descriptor, path)
@@ -169,7 +170,7 @@ def open_file(path: Path, shared: bool) -> int:
 
 
 def is_at_path(descriptor: int, path: Path) -> bool:
-    """Whether an open file is still the one at its path: not removed, moved or exchanged. Opens nothing."""
+    """Return, without opening the path, whether an open file is still the one there: not removed, moved or replaced."""
     try:
         at_path, opened_file = os.lstat(path), os.fstat(descriptor)
     except OSError:
@@ -181,13 +182,15 @@ def _machine_directory() -> Path:
     return _absolute("LEACTL_MACHINE_STATE", os.environ.get("LEACTL_MACHINE_STATE") or MACHINE_DIRECTORY)
 
 
-def _absolute(variable: str, named: str) -> Path:
-    if not Path(named).is_absolute():
-        raise InputError(f"{variable} is {named}: an absolute path was expected, for a relative one leads elsewhere")
-    return Path(named)
+def _absolute(variable: str, text: str) -> Path:
+    if not Path(text).is_absolute():
+        raise InputError(
+            f"{variable} is {text}: an absolute path was expected; a relative one depends on the working folder"
+        )
+    return Path(text)
 
 
-def _fault_of_shared(directory: Path) -> str:
+def _make_shared_directory(directory: Path) -> str:
     """Make the shared directory if there is none; return why it cannot be used, or an empty string."""
     try:
         directory.mkdir()
@@ -196,10 +199,11 @@ def _fault_of_shared(directory: Path) -> str:
         pass
     except OSError as error:
         return f"{directory}: cannot be made: {error.strerror}"
-    return _unusable(directory)
+    return _why_unusable(directory)
 
 
-def _unusable(directory: Path) -> str:
+def _why_unusable(directory: Path) -> str:
+    """Return why a directory cannot be used by this user, or an empty string."""
     try:
         status = os.lstat(directory)
     except OSError as error:

@@ -51,7 +51,7 @@ class Memory:
     def __init__(self, actuator: str, motor: Motor, limit: float, ambient: float, folder: StateFolder) -> None:
         self.actuator, self._motor, self._limit, self._ambient = actuator, motor, limit, ambient
         self._digest = sha256(motor.model_dump_json().encode()).hexdigest()
-        self._folder, self.path = folder, folder.windings(_file_name(actuator))
+        self._folder, self.path = folder, folder.winding_file(_file_name(actuator))
         self._descriptor: int | None = None  # of the file, open from the first writing until `close_file`
 
     def recall(self, now: ClockReadings) -> Recalled:
@@ -75,7 +75,7 @@ class Memory:
         """Return the files of this actuator in all state folders."""
         several = self._folder.shared or self._folder.fault  # a rehearsal keeps its files apart
         folders = [self._folder, *(state_folder.folders() if several else ())]
-        paths = dict.fromkeys(folder.windings(_file_name(self.actuator)) for folder in folders)
+        paths = dict.fromkeys(folder.winding_file(_file_name(self.actuator)) for folder in folders)
         return [path for path in paths if os.path.lexists(path)]
 
     def _recall(self, path: Path, now: ClockReadings) -> Recalled:

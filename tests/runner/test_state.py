@@ -188,7 +188,7 @@ def test_a_latch_that_is_no_plain_file_holds_and_can_be_released(machine, testbe
 @pytest.mark.parametrize("kind", ["pipe", "dangling", "endless", "large", "deep", "folder"])
 def test_a_winding_memory_that_is_no_plain_file_counts_as_hot(testbed, kind):
     file, devices, _document = benchfile.load(str(testbed))
-    bent(state_folder.folder_of(file, in_process=False).windings(f"{file.name}.test"), kind)
+    bent(state_folder.folder_of(file, in_process=False).winding_file(f"{file.name}.test"), kind)
     assert Windings(file, devices).recalled["test"].nodes.tolist() == [130.0] * 3
 
 
