@@ -1,4 +1,4 @@
-"""Prints a page as PDF with an installed Chromium."""
+"""Print a page as PDF with an installed Chromium."""
 
 import os
 import shutil
@@ -28,26 +28,26 @@ PRINT_TIMEOUT_S = 120.0
 
 def examine() -> HostFinding:
     """Return the finding for `leactl doctor` on whether a browser is installed that prints pages."""
-    browser_path = installed()
-    text = browser_path or "none in PATH; `leactl report --pdf` prints by one"
+    browser_path = installed_browser()
+    text = browser_path or "none in PATH; `leactl report --pdf` needs one"
     return HostFinding(
         "Chromium", browser_path is not None, False, text, "" if browser_path else "sudo apt install chromium"
     )
 
 
-def installed() -> str | None:
+def installed_browser() -> str | None:
     """Return the path of the first installed browser; None if none is installed."""
     return next(filter(None, map(shutil.which, BROWSERS)), None)
 
 
-def browser() -> str:
+def required_browser() -> str:
     """Return the path of the first installed browser.
 
     Raises
     ------
     InputError : no browser is installed.
     """
-    browser_path = installed()
+    browser_path = installed_browser()
     if browser_path is None:
         raise InputError(
             f"--pdf: needs a Chromium to print with, and none of {', '.join(BROWSERS)} is in PATH; install one"
@@ -64,17 +64,17 @@ def print_pdf(html: Path, out: Path) -> None:
     InputError : no browser is installed.
     DeviceError : the browser failed, or took longer than PRINT_TIMEOUT_S.
     """
-    command = [browser(), *FLAGS]
+    command = [required_browser(), *FLAGS]
     # Chromium does not start in its sandbox as root; the page is from this program and has no script
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         command.append("--no-sandbox")
-    with tempfile.TemporaryDirectory() as profile, replacement(out) as path:
-        # Chromium may end with status 0 without a file, so that the file is checked
+    # Chromium's helper processes may still write to the profile while it is removed
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile, replacement(out) as path:
         command += [f"--user-data-dir={profile}", f"--print-to-pdf={path}", html.resolve().as_uri()]
         try:
             completed = subprocess.run(command, capture_output=True, text=True, timeout=PRINT_TIMEOUT_S, check=False)
         except subprocess.TimeoutExpired:
             raise DeviceError(f"{out}: {command[0]} did not print within {PRINT_TIMEOUT_S:g} s") from None
-        if completed.returncode or not path.exists():
+        if completed.returncode or not path.exists():  # Chromium may end with status 0 and without a file
             last_line = (completed.stderr.strip().splitlines() or ["no message"])[-1]
             raise DeviceError(f"{out}: {command[0]} did not print: {last_line}")

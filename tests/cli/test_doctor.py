@@ -37,7 +37,7 @@ def test_what_is_absent_comes_with_the_command_that_mends_it():
 def test_a_browser_that_prints_is_looked_for(tmp_path):
     (tmp_path / "chromium").write_text("#!/bin/sh\n")
     without = leactl("doctor", PATH=str(tmp_path))
-    assert "absent  Chromium: none in PATH; `leactl report --pdf` prints by one\n        mend: sudo" in without.stdout
+    assert "absent  Chromium: none in PATH; `leactl report --pdf` needs one\n        mend: sudo" in without.stdout
     (tmp_path / "chromium").chmod(0o755)
     there = leactl("doctor", PATH=str(tmp_path))
     assert f"ok      Chromium: {tmp_path / 'chromium'}\n" in there.stdout

@@ -11,7 +11,7 @@ from leactl.report.datasheet.page import page
 from leactl.report.datasheet.runset import RunSet, check_options, read_runs
 from leactl.report.datasheet.sheet import Datasheet
 from leactl.report.outputs import check_files
-from leactl.report.pdf import browser, print_pdf
+from leactl.report.pdf import print_pdf, required_browser
 from leactl.report.progress_line import ProgressLine
 from leactl.runfile.publish import replacement
 
@@ -43,7 +43,7 @@ class DatasheetOutputs:
             raise InputError(f"--html {self.html}: a name that ends in .html was expected")
         check_files([path for path in (self.html, self.pdf_file) if path is not None], inputs)
         if self.pdf:
-            browser()
+            required_browser()
 
 
 def make(
