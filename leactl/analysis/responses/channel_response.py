@@ -6,7 +6,7 @@ import numpy as np
 
 from leactl.analysis.estimate import Estimate, Grid, Noted, Plot, Series, listed, plot_slice
 from leactl.analysis.responses.blackman_tukey import POINTS_PER_RESOLVED, BlackmanTukey, Mask, Response
-from leactl.analysis.responses.noise_records import MOST_UNEVEN_INTERVAL
+from leactl.analysis.responses.noise_records import MOST_INTERVAL_DEVIATION
 from leactl.analysis.responses.noise_response import LEAST_COHERENCE, MOST_POINTS
 from leactl.analysis.signals.levels import samples_between
 from leactl.analysis.statistics.regression import Array, t_quantile
@@ -77,7 +77,7 @@ def response_of(setpoint: Channel, channel: Channel, step: Step) -> Response | s
     intervals = np.diff(time)
     interval = float(np.median(intervals))
     if not np.isfinite(reference + response_values).all() or np.any(
-        np.abs(intervals / interval - 1.0) > MOST_UNEVEN_INTERVAL
+        np.abs(intervals / interval - 1.0) > MOST_INTERVAL_DEVIATION
     ):
         return "samples are missing"
     if not np.ptp(response_values) > 0.0:

@@ -1,7 +1,7 @@
 """Records of noise experiments: reference and response over each stretch of noise, without gaps.
 
-A stretch is a step of the run named `noise` whose parameters have its level (`signal: {kind: noise}` of a protocol),
-and the seed and cut-off of its noise where they are known.
+A stretch is a step named `noise` (`signal: {kind: noise}` of a protocol); its parameters have the level, and seed and
+cut-off of the noise where these are known.
 """
 
 import math
@@ -17,9 +17,9 @@ from leactl.analysis.statistics.regression import Array
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run, Step
 
-FEWEST_IN_A_ROW = 1600  # samples; four windows of the estimator
+FEWEST_GAPLESS_SAMPLES = 1600  # four windows of the estimator
 STAMP_ROUNDING_S = 1e-6  # of time stamps; a sample at the end of a step may belong to its neighbour
-MOST_UNEVEN_INTERVAL = 0.2  # of the median interval, by which one may differ from it
+MOST_INTERVAL_DEVIATION = 0.2  # largest difference of an interval from the median one, as a share of it
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,8 @@ class NoiseExperiment:
     response: str
     level_key: str  # key of the level in a step's parameters
     setup: str
-    record_filter: tuple[int, float]  # Butterworth, of both records: order, cut-off over the noise's own
+    # Butterworth filter of both records: order, and cut-off as a multiple of the noise's cut-off
+    record_filter: tuple[int, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,7 @@ class NoiseRecord:
     """Reference and response over one stretch of noise, without gaps."""
 
     level: float
-    seed: object  # of the noise; unique to the record where the run states no seed
+    seed: object  # seed of the noise; a text that is unique to the record if the run states none
     interval: float  # s
     cutoff: float  # Hz, of the noise; infinite where the run states none
     reference: Array
@@ -52,23 +53,25 @@ def records_of(run: Run, experiment: NoiseExperiment) -> Noted[list[NoiseRecord]
     Raises
     ------
     MissingChannel : the run lacks the reference or the response.
-    NotIdentifiable : the run has no stretch of noise, or no usable one.
+    NotIdentifiable : the run has no usable stretch of noise, or reference and response are not sampled together.
     """
-    reference, measured = run.channel(experiment.reference, role="test"), run.channel(experiment.response, role="test")
+    reference, response = run.channel(experiment.reference, role="test"), run.channel(experiment.response, role="test")
     steps = [step for step in run.steps if _is_noise(step, experiment.level_key)]
-    if len(reference.time) != len(measured.time) or np.any(np.abs(reference.time - measured.time) > STAMP_ROUNDING_S):
+    if len(reference.time) != len(response.time) or np.any(np.abs(reference.time - response.time) > STAMP_ROUNDING_S):
         raise NotIdentifiable(f"{run.path}: {experiment.reference} and {experiment.response} are not sampled together")
     holds = [
         Hold(float(step.parameters[experiment.level_key]), 0, step.start + step.settle, step.stop) for step in steps
     ]
-    clipping_value, clipped = find_saturation(measured, holds)
+    clipping_value, clipped = find_saturation(response, holds)
     clipped_starts = {hold.start for hold in clipped}
     records: list[NoiseRecord] = []
     left_out: dict[str, list[str]] = {}
     for step, hold in zip(steps, holds, strict=True):
-        record: NoiseRecord | str = f"{experiment.response} is clipped at {clipping_value:g} {measured.units}"
-        if hold.start not in clipped_starts:
-            record = _record(str(run.path), reference, measured, step, experiment)
+        record: NoiseRecord | str
+        if hold.start in clipped_starts:
+            record = f"{experiment.response} is clipped at {clipping_value:g} {response.units}"
+        else:
+            record = _record(str(run.path), reference, response, step, experiment)
         if isinstance(record, str):
             left_out.setdefault(record, []).append(f"{hold.setpoint:g} at {step.start:.1f} s")
         else:
@@ -80,7 +83,9 @@ def records_of(run: Run, experiment: NoiseExperiment) -> Noted[list[NoiseRecord]
             if steps
             else f"no noise with {experiment.level_key}"
         )
-        raise NotIdentifiable(f"{run.path}: found {description}; one with {FEWEST_IN_A_ROW} samples in a row is needed")
+        raise NotIdentifiable(
+            f"{run.path}: found {description}; one with {FEWEST_GAPLESS_SAMPLES} samples in a row is needed"
+        )
     return Noted(records, tuple(tally(left_out, str(run.path))))
 
 
@@ -92,18 +97,18 @@ def _is_noise(step: Step, level_key: str) -> bool:
 
 
 def _record(
-    run_path: str, reference: Channel, measured: Channel, step: Step, experiment: NoiseExperiment
+    run_path: str, reference: Channel, response: Channel, step: Step, experiment: NoiseExperiment
 ) -> NoiseRecord | str:
     """Return the longest gapless part of a stretch of noise, filtered; or the reason why the stretch is not used."""
     from scipy.signal import butter, sosfilt
 
     begin, end = np.searchsorted(reference.time, (step.start + STAMP_ROUNDING_S, step.stop - STAMP_ROUNDING_S))
     time = reference.time[begin:end]
-    if end - begin < FEWEST_IN_A_ROW:
+    if end - begin < FEWEST_GAPLESS_SAMPLES:
         return "too few samples"
     interval = float(np.median(np.diff(time)))
-    is_missing = ~np.isfinite(reference.values[begin:end] + measured.values[begin:end])
-    gap_after = np.flatnonzero(np.abs(np.diff(time) / interval - 1.0) > MOST_UNEVEN_INTERVAL)
+    is_missing = ~np.isfinite(reference.values[begin:end] + response.values[begin:end])
+    gap_after = np.flatnonzero(np.abs(np.diff(time) / interval - 1.0) > MOST_INTERVAL_DEVIATION)
     stops = np.unique(np.concatenate([[-1], np.flatnonzero(is_missing), [end - begin]]))
     pieces = [
         piece
@@ -113,15 +118,16 @@ def _record(
     settles_at = int(np.searchsorted(time, step.start + step.settle, side="right"))
     piece_start, piece_stop = max(pieces, key=lambda piece: piece[1] - max(piece[0], settles_at))
     settled = np.arange(piece_start, piece_stop) >= settles_at
-    if settled.sum() < FEWEST_IN_A_ROW:
+    if settled.sum() < FEWEST_GAPLESS_SAMPLES:
         return "too few samples in a row"
-    noise_cutoff = step.parameters.get("cutoff_Hz")
-    noise_cutoff = float(noise_cutoff) if isinstance(noise_cutoff, int | float) and noise_cutoff > 0 else math.inf
+    stated_cutoff = step.parameters.get("cutoff_Hz")
+    noise_cutoff = float(stated_cutoff) if isinstance(stated_cutoff, int | float) and stated_cutoff > 0 else math.inf
     order, cutoff = experiment.record_filter[0], experiment.record_filter[1] * noise_cutoff
     sections = butter(order, cutoff, fs=1.0 / interval, output="sos") if cutoff < 0.5 / interval else None
     columns = []
-    for channel in (reference, measured):
+    for channel in (reference, response):
         values = channel.values[begin + piece_start : begin + piece_stop]
+        # starts at zero: the filter would answer the first value as a step
         filtered = values if sections is None else sosfilt(sections, values - values[:1])
         columns.append(filtered[settled])
     if not columns[0].std() > 0.0:

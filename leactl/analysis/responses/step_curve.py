@@ -15,7 +15,7 @@ from leactl.analysis.statistics.regression import Array
 
 RISE_START, RISE_END = 0.1, 0.9  # of the steady value, between which the rise time counts
 MOST_BEND = 0.5  # second difference over the rise between two bins; above it, no cubic is laid through them
-MOST_UNEVEN_INTERVAL = 0.01  # of the median interval, by which one may differ from it
+MOST_INTERVAL_DEVIATION = 0.01  # largest difference of an interval from the curve's, as a share of it
 
 
 class MeanStepResponse(NamedTuple):
@@ -102,7 +102,7 @@ def _exponential_crossing(curve: MeanStepResponse, index: int, level: float) -> 
     if (
         len(values) < 3
         or values[0] >= RISE_END
-        or not np.allclose(np.diff(time), curve.interval, rtol=MOST_UNEVEN_INTERVAL)
+        or not np.allclose(np.diff(time), curve.interval, rtol=MOST_INTERVAL_DEVIATION)
     ):
         return None
     increments = np.diff(values)
