@@ -8,15 +8,15 @@ from leactl.safety.limits import Limits
 
 # A device continues for a time without a sign of life; at least this many cycles of the loop, each with a sign of life,
 # have to fit into that time, so that two may be lost.
-CYCLES_PER_TIMEOUT = 3
+FEWEST_CYCLES_PER_TIMEOUT = 3
 
 
 def check_setpoints(limits: Limits, peaks: Mapping[tuple[str, str], float]) -> None:
-    """Refuse a plan whose peaks are outside the limits, before anything moves.
+    """Raise if a setpoint of a plan is beyond the bench's limits; called before anything moves.
 
     Parameters
     ----------
-    peaks : setpoint of the largest magnitude, with its sign, by role and quantity, in the SI unit of the quantity.
+    peaks : largest magnitude of the setpoint by role and quantity, in the SI unit of the quantity.
 
     Raises
     ------
@@ -32,23 +32,24 @@ def check_setpoints(limits: Limits, peaks: Mapping[tuple[str, str], float]) -> N
         raise InputError(faults)
 
 
-def check_rate(rate_hz: float, silences: Mapping[str, float | None]) -> None:
-    """Refuse a loop so slow that a device which needs signs of life of the host would stop between two.
+def check_rate(rate_hz: float, longest_silences_s: Mapping[str, float | None]) -> None:
+    """Raise if the loop is so slow that a device which needs signs of life of the host would stop between two of them.
 
     Parameters
     ----------
-    silences : how long each device continues without a sign of life [s]; None where it needs none.
+    longest_silences_s : how long each device continues without a sign of life [s]; None where it needs none.
 
     Raises
     ------
-    InputError : one line for each device whose time holds fewer than `CYCLES_PER_TIMEOUT` cycles.
+    InputError : one line for each device whose time holds fewer than `FEWEST_CYCLES_PER_TIMEOUT` cycles.
     """
     faults = []
-    for name, silence in silences.items():
-        if silence is not None and rate_hz * silence < CYCLES_PER_TIMEOUT * (1 - 1e-9):
+    for name, silence in longest_silences_s.items():
+        # a rate that is exactly enough may be rounded below
+        if silence is not None and rate_hz * silence < FEWEST_CYCLES_PER_TIMEOUT * (1 - 1e-9):
             faults.append(
                 f"rate_Hz: {rate_hz:g} Hz is too slow for {name}, which stops after {silence:g} s without the host;"
-                f" at least {CYCLES_PER_TIMEOUT / silence:.4g} Hz was expected"
+                f" at least {FEWEST_CYCLES_PER_TIMEOUT / silence:.4g} Hz was expected"
             )
     if faults:
         raise InputError(faults)

@@ -9,7 +9,7 @@ from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.safety.disk import BYTES_A_VALUE, COPIES, planned_bytes
 from leactl.safety.interlocks import Interlocks
-from leactl.safety.plan_checks import CYCLES_PER_TIMEOUT, check_rate
+from leactl.safety.plan_checks import FEWEST_CYCLES_PER_TIMEOUT, check_rate
 from leactl.safety.thermal.box import Box, Range
 from leactl.safety.thermal.turning import highest_speed
 from tests.safety.guards import LEA
@@ -18,7 +18,7 @@ from tests.safety.rig import LIMITS
 
 @pytest.mark.parametrize("silence", [0.05, 0.2, 2.0])
 def test_three_cycles_fall_into_the_time_that_a_device_goes_on_alone(silence):
-    enough = CYCLES_PER_TIMEOUT / silence
+    enough = FEWEST_CYCLES_PER_TIMEOUT / silence
     check_rate(enough, {"drive": silence, "sensor": None})
     with pytest.raises(InputError, match=f"too slow for drive, which stops after {silence:g} s") as refused:
         check_rate(0.99 * enough, {"drive": silence, "sensor": None})
