@@ -1,4 +1,4 @@
-"""`leactl stats`: whether results differ between conditions."""
+"""`leactl stats`: compare results between conditions."""
 
 import json
 from pathlib import Path
@@ -17,9 +17,12 @@ def stats(
         metavar="RUN...", help="Runs or folders, under two conditions or more, or answers of `analyze --json`."
     ),
     result: list[str] = typer.Option([], "--result", help="Results to compare; all with an uncertainty by default."),
-    by_run: bool = typer.Option(False, "--by-run", help="One value a run instead of one for each of its repeats."),
+    by_run: bool = typer.Option(False, "--by-run", help="Use one value for each run instead of one for each repeat."),
     torque_constant: float | None = typer.Option(
-        None, metavar="N*m/A", help="Torque constant for friction.", callback=finite
+        None,
+        metavar="N*m/A",
+        help="Torque constant for friction, in place of the one in the runs' model.",
+        callback=finite,
     ),
     settings: list[str] = typer.Option(
         [], "--set", metavar="NAME=NUMBER", help="Set a numeric option of the analysis, such as phase_resistance=0.28."
@@ -33,14 +36,14 @@ def stats(
     from leactl.report.conditions import comparisons_text
 
     options = numeric_options(settings, torque_constant=torque_constant)
-    comparisons, not_compared, faults = compare_each(runs, result, by_run, **options)
+    experiments, not_compared, faults = compare_each(runs, result, by_run, **options)
     for line in not_compared:
         typer.echo(f"leactl: not compared: {line}", err=True)
-    if as_json and len(comparisons) == 1 and not (not_compared or faults):
-        typer.echo(json.dumps(comparisons[0].as_json(), allow_nan=False))
+    if as_json and len(experiments) == 1 and not (not_compared or faults):
+        typer.echo(json.dumps(experiments[0].as_json(), allow_nan=False))
     elif as_json:
         body = {
-            "comparisons": [comparison.as_json() for comparison in comparisons],
+            "comparisons": [compared.as_json() for compared in experiments],
             "not_compared": not_compared,
             "faults": InputError(faults).as_json(),
         }
@@ -48,8 +51,8 @@ def stats(
     else:
         typer.echo(
             "\n\n".join(
-                comparisons_text(comparison.experiment, comparison.comparisons, comparison.refused)
-                for comparison in comparisons
+                comparisons_text(compared.experiment, compared.comparisons, compared.refused)
+                for compared in experiments
             )
         )
     if faults:
