@@ -54,7 +54,7 @@ def test_a_driver_that_breaks_the_contract_is_told_how():
         "gain is a number",
         "weight is a number",
         "offsets is a number",
-        "has no __init__, open",
+        "does not implement __init__, open",
         "Confirmation",
         "no docstring",
     ):

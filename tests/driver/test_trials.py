@@ -608,7 +608,7 @@ def test_a_driver_that_lacks_a_method_is_told_which():
         def safe_state(self, deadline_s: float) -> Confirmation:
             return Confirmation(True, "")
 
-    assert conformance.faults_of(Half) == ["has no __init__, close, open"]
+    assert conformance.faults_of(Half) == ["does not implement __init__, close, open"]
 
 
 def test_the_set_up_that_a_defect_is_planted_in_is_the_drives_own():
