@@ -11,58 +11,74 @@ from leactl.gap.signals.smoothing import slope, smooth
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-Places = npt.NDArray[np.intp]
-STRETCHES = 16  # stretches of a run
-FEWEST_STRETCH_SAMPLES = 60
+Indices = npt.NDArray[np.intp]
+STRETCHES = 16  # into which a run is divided where the caller states no other count
+FEWEST_STRETCH_SAMPLES = 60  # a run with shorter stretches is divided into fewer, or into one
 LEAST_FOLLOWED_SHARE = 0.9  # smallest share of a stretch's variance that the shifted other channel explains
-MOST_SHIFT_ERROR = 0.3  # samples, largest standard error of a stretch that counts
-LEAST_WIDTH = 3.0  # samples of smoothing
+# samples, largest standard error of a stretch that counts; larger in proportion to a smoothing above LEAST_SMOOTHING
+MOST_SHIFT_ERROR = 0.3
+LEAST_ERROR = 1e-3  # samples, of a shift: weights of noiseless records stay finite
+LEAST_SMOOTHING = 3.0  # samples, standard deviation of the Gaussian
 REFINEMENT_ROUNDS = 4  # Gauss-Newton steps
 MOST_SHIFT_SHARE = 0.25  # largest shift that is searched, as a share of a stretch
 
 
 @dataclass(frozen=True)
 class Lateness:
-    """Lateness of a channel in samples, at the middle of each stretch that determines it."""
+    """Lateness of a channel at the middle of each stretch that determines it; arrays have shape (stretches,)."""
 
     middle: Array  # samples from the run's first
-    late: Array
-    error: Array
+    late: Array  # samples; negative: early
+    error: Array  # samples, standard error
 
     def __bool__(self) -> bool:
         return len(self.late) > 0
 
     def mean(self) -> tuple[float, float]:
-        """Return the weighted mean over all stretches, and its error."""
+        """Return the weighted mean [samples] over all stretches, and its standard error.
+
+        The error is by the weights or by the scatter, whichever is larger.
+        """
         weights = 1.0 / self.error**2
         mean = float(self.late @ weights / weights.sum())
         spread = float(np.std(self.late)) / np.sqrt(len(self.late))
         return mean, float(max(weights.sum() ** -0.5, spread))
 
 
-def lateness(reads: Array, expected: Array, valid: Mask, count: int = STRETCHES) -> Lateness:
-    """Return how late `reads` is against `expected`, in each of `count` stretches of a run."""
-    length = len(reads) // count
+def lateness(measured: Array, expected: Array, valid: Mask, count: int = STRETCHES) -> Lateness:
+    """Return by how many samples a channel is late, in each of `count` stretches of a run that determine it.
+
+    Parameters
+    ----------
+    measured, expected : values of the channel, and those that it would have if it were not late; shape (samples,).
+    valid : whether each sample is valid, shape (samples,); a stretch with an invalid sample does not count.
+    """
+    length = len(measured) // count
     if length < FEWEST_STRETCH_SAMPLES:
-        count = max(len(reads) // FEWEST_STRETCH_SAMPLES, 1)
-        length = len(reads) // count
-    width = max(LEAST_WIDTH, width_of(expected))
-    reads, expected = smooth(reads, width), smooth(expected, width)
-    delays = []
+        count = max(len(measured) // FEWEST_STRETCH_SAMPLES, 1)
+        length = len(measured) // count
+    width = max(LEAST_SMOOTHING, width_of(expected))
+    measured, expected = smooth(measured, width), smooth(expected, width)
+    rows = []
     shift = 0.0
     for index in range(count):
         begin = index * length
-        shift_and_error = shift_of(reads, expected, valid, begin, begin + length, shift, width)
+        shift_and_error = shift_of(measured, expected, valid, begin, begin + length, shift, width)
         if shift_and_error is not None:
             shift = shift_and_error[0]
-            delays.append((begin + 0.5 * length, *shift_and_error))
-    columns = np.array(delays).reshape(-1, 3)
+            rows.append((begin + 0.5 * length, *shift_and_error))
+    columns = np.array(rows).reshape(-1, 3)
     return Lateness(columns[:, 0], columns[:, 1], columns[:, 2])
 
 
 def width_of(values: Array) -> float:
-    """Return the smoothing [samples] that makes the noise of a channel's slope small, up to a tenth of a stretch."""
-    width, noise = LEAST_WIDTH, noise_of(values)
+    """Return the width of the smoothing [samples] that makes the noise of a channel's slope small.
+
+    It is doubled until the noise is at most 5 % of the scatter of the slope, or until the width is a tenth of one of
+    `STRETCHES` stretches.
+    """
+    width, noise = LEAST_SMOOTHING, noise_of(values)
+    # smoothing over a width divides the noise of a slope by width ** 1.5
     while width < len(values) / STRETCHES / 10.0 and noise / width**1.5 > 0.05 * float(
         np.std(np.diff(smooth(values, width)))
     ):
@@ -71,70 +87,74 @@ def width_of(values: Array) -> float:
 
 
 def shift_of(
-    reads: Array, expected: Array, valid: Mask, begin: int, end: int, start_shift: float, width: float
+    measured: Array, expected: Array, valid: Mask, begin: int, end: int, start_shift: float, width: float
 ) -> tuple[float, float] | None:
-    """Return the samples by which a stretch is late, and the error; None where it is not determined."""
+    """Return by how many samples a stretch is late, and the standard error [samples]; None if it is not determined."""
     # neighbours within the smoothing carry no further information
     samples = np.arange(begin, end, max(int(width / 1.5), 1), dtype=np.intp)
     stamps = np.arange(len(expected), dtype=np.float64)
-    if not valid[begin:end].all() or float(np.ptp(reads[samples])) == 0.0 or float(np.ptp(expected[samples])) == 0.0:
+    if not valid[begin:end].all() or float(np.ptp(measured[samples])) == 0.0 or float(np.ptp(expected[samples])) == 0.0:
         return None
-    margin = int(MOST_SHIFT_SHARE * (end - begin))
-    near_shift = refined_shift(reads, expected, samples, stamps, start_shift, width, margin)
-    return near_shift or refined_shift(
-        reads, expected, samples, stamps, rough_shift(reads, expected, samples, margin), width, margin
-    )
+    largest_shift = int(MOST_SHIFT_SHARE * (end - begin))
+    near_shift = refined_shift(measured, expected, samples, stamps, start_shift, width, largest_shift)
+    if near_shift is not None:
+        return near_shift
+    far_shift = rough_shift(measured, expected, samples, largest_shift)
+    return refined_shift(measured, expected, samples, stamps, far_shift, width, largest_shift)
 
 
-def rough_shift(reads: Array, expected: Array, samples: Places, margin: int) -> float:
-    """Return the shift with the largest correlation, to the spacing of the samples."""
+def rough_shift(measured: Array, expected: Array, samples: Indices, largest_shift: int) -> float:
+    """Return the shift [samples] with the largest correlation, a multiple of the spacing of `samples`."""
     spacing = int(samples[1] - samples[0])
     steps_before, steps_after = (
-        min(margin, int(samples[0])) // spacing,
-        min(margin, len(expected) - 1 - int(samples[-1])) // spacing,
+        min(largest_shift, int(samples[0])) // spacing,
+        min(largest_shift, len(expected) - 1 - int(samples[-1])) // spacing,
     )
-    around = expected[samples[0] - steps_before * spacing : samples[-1] + steps_after * spacing + 1 : spacing]
-    windows = sliding_window_view(around, len(samples))
+    search_range = expected[samples[0] - steps_before * spacing : samples[-1] + steps_after * spacing + 1 : spacing]
+    windows = sliding_window_view(search_range, len(samples))
     windows = windows - windows.mean(axis=1, keepdims=True)
-    power = np.sqrt(np.sum(windows**2, axis=1))
-    correlation = np.abs(windows @ (reads[samples] - reads[samples].mean())) / np.where(power > 0.0, power, np.inf)
+    norm = np.sqrt(np.sum(windows**2, axis=1))
+    correlation = np.abs(windows @ (measured[samples] - measured[samples].mean())) / np.where(norm > 0.0, norm, np.inf)
     return float((steps_before - int(np.argmax(correlation))) * spacing)
 
 
 def refined_shift(
-    reads: Array, expected: Array, samples: Places, stamps: Array, late: float, width: float, margin: int
+    measured: Array, expected: Array, samples: Indices, stamps: Array, shift: float, width: float, largest_shift: int
 ) -> tuple[float, float] | None:
-    """Refine a shift to a fraction of a sample by Gauss-Newton steps; return it and its error, None if unclear."""
-    values = reads[samples] - reads[samples].mean()
-    low, high = max(int(samples[0]) - 2 * margin, 0), int(samples[-1]) + 2 * margin
+    """Refine a shift to a fraction of a sample by Gauss-Newton steps; return it and its standard error [samples].
+
+    Return None if the shift is beyond `largest_shift`, explains too little, or has too large an error.
+    """
+    values = measured[samples] - measured[samples].mean()
+    low, high = max(int(samples[0]) - 2 * largest_shift, 0), int(samples[-1]) + 2 * largest_shift
     expected, stamps = expected[low:high], stamps[low:high]
     fitted = (0.0, 0.0, 1.0)
     for _ in range(REFINEMENT_ROUNDS):
-        moved = np.interp(samples - late, stamps, expected)
-        columns = np.stack(
-            [moved, -slope_at(np.asarray(samples - late, np.float64), stamps, expected), np.ones(len(moved))], axis=1
-        )
-        solved, *_ = np.linalg.lstsq(columns, reads[samples], rcond=1e-10)
-        residual = reads[samples] - columns @ solved
-        if solved[0] == 0.0 or not np.isfinite(solved).all():
+        shifted_values = np.interp(samples - shift, stamps, expected)
+        shifted_slope = slope_at(np.asarray(samples - shift, np.float64), stamps, expected)
+        columns = np.stack([shifted_values, -shifted_slope, np.ones(len(shifted_values))], axis=1)
+        coefficients, *_ = np.linalg.lstsq(columns, measured[samples], rcond=1e-10)
+        residual = measured[samples] - columns @ coefficients
+        if coefficients[0] == 0.0 or not np.isfinite(coefficients).all():
             return None
-        step = float(np.clip(solved[1] / solved[0], -width, width))
-        late += step
+        step = float(np.clip(coefficients[1] / coefficients[0], -width, width))
+        shift += step
         inverse = np.linalg.pinv(columns.T @ columns)
         if not inverse[1, 1] > 0.0:  # only by rounding: the columns do not determine a shift
             return None
-        independent = (samples[-1] - samples[0]) / (np.sqrt(4.0 * np.pi) * width)
-        noise = float(residual @ residual) / max(independent - 3.0, 1.0)
-        error = float(np.sqrt(inverse[1, 1] * noise) / abs(solved[0]))
-        fitted = (late, error, float(residual @ residual) / float(values @ values))
-    late, error, unexplained = fitted
+        # a Gaussian of this width leaves one independent sample in sqrt(4 pi) widths
+        independent_samples = (samples[-1] - samples[0]) / (np.sqrt(4.0 * np.pi) * width)
+        noise = float(residual @ residual) / max(independent_samples - 3.0, 1.0)
+        error = float(np.sqrt(inverse[1, 1] * noise) / abs(coefficients[0]))
+        fitted = (shift, error, float(residual @ residual) / float(values @ values))
+    shift, error, unexplained = fitted
     if (
-        abs(late) > margin
+        abs(shift) > largest_shift
         or unexplained > 1.0 - LEAST_FOLLOWED_SHARE
-        or error > MOST_SHIFT_ERROR * max(1.0, width / LEAST_WIDTH)
+        or error > MOST_SHIFT_ERROR * max(1.0, width / LEAST_SMOOTHING)
     ):
         return None
-    return late, max(error, 1e-3)
+    return shift, max(error, LEAST_ERROR)
 
 
 def slope_at(positions: Array, stamps: Array, values: Array) -> Array:
