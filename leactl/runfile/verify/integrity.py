@@ -196,7 +196,7 @@ def recover(path: Path) -> Path:
                 clean,
                 status="recovered",
                 reason=f"recovered from {path.name}, whose recording was cut off",
-                rows={name: whole_rows(group) for name, group in streams.items()},
+                row_counts={name: whole_rows(group) for name, group in streams.items()},
                 tables=recorded_tables(file),
             )
     return target

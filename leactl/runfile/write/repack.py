@@ -1,7 +1,7 @@
 """Write the final form of a run: compressed, with strings of variable length and a checksum on every dataset.
 
-The writer calls `repack` at an orderly close and `recover` after a kill; both pass an open file and the number of valid
-rows of each stream.
+The writer calls `repack` at an orderly close, `recover` (verify/integrity.py) after a kill; both pass an open file and
+the number of valid rows of each stream.
 """
 
 import hashlib
@@ -19,7 +19,7 @@ from leactl.runfile.hdf5.space import reserve, trim
 Row = Mapping[str, Any]
 
 COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
-CHUNK_ROWS = 1 << 14
+CHUNK_ROWS = 1 << 14  # 128 KiB of float64
 
 
 def repack(
@@ -28,7 +28,7 @@ def repack(
     *,
     status: str,
     reason: str,
-    rows: Mapping[str, int],
+    row_counts: Mapping[str, int],
     tables: Mapping[str, Sequence[Row]],
 ) -> None:
     """Copy a run into a new file.
@@ -37,28 +37,28 @@ def repack(
     ----------
     source : the open live file.
     target : a path that does not exist.
-    rows : number of valid rows of each stream; a stream that is not named is left out.
+    row_counts : number of valid rows of each stream; a stream that is not named is left out.
     tables : the rows of `/steps` and `/events`.
     """
-    with h5py.File(target, "x", libver=layout.HDF5_FORMAT) as clean:
-        reserve(clean, 0)
+    with h5py.File(target, "x", libver=layout.HDF5_FORMAT) as final:
+        reserve(final, 0)  # the space that `reserve` always keeps in addition
         for name in source.attrs:
             if name not in seal.DIGEST_ATTRIBUTES:
-                clean.attrs[name] = source.attrs[name]
-        clean.attrs["status"] = status
-        clean.attrs["status_reason"] = one_line(reason)
-        copy_setup_and_sources(source, clean)
-        layout.copy_description(source, clean)
-        streams = clean.create_group("streams")
-        for name, count in rows.items():
+                final.attrs[name] = source.attrs[name]
+        final.attrs["status"] = status
+        final.attrs["status_reason"] = one_line(reason)
+        copy_setup_and_sources(source, final)
+        layout.copy_description(source, final)
+        streams = final.create_group("streams")
+        for name, count in row_counts.items():
             copy_stream(source["streams"][name], streams.create_group(name, track_order=True), count)
         reserve(
-            clean,
-            sum(len(as_text(cell)) * 4 + 64 for table in tables.values() for row in table for cell in row.values()),
+            final,
+            sum(text_bytes(as_text(cell)) for table in tables.values() for row in table for cell in row.values()),
         )
         for name, columns in layout.TABLES.items():
-            write_table(clean.create_group(name), columns, tables.get(name, ()))
-        put_seal(clean)
+            write_table(final.create_group(name), columns, tables.get(name, ()))
+        put_seal(final)
     trim(target)
 
 
@@ -70,17 +70,17 @@ def put_seal(file: Any) -> None:
     file.attrs[seal.SEAL] = seal.digest_of_table(rows)
 
 
-def copy_setup_and_sources(source: Any, clean: Any) -> None:
+def copy_setup_and_sources(source: Any, final: Any) -> None:
     """Copy `/setup` and the YAML texts of protocol, bench and model."""
-    setup = clean.create_group("setup")
+    setup = final.create_group("setup")
     if "setup" in source:
         for name in source["setup"].attrs:
             setup.attrs[name] = source["setup"].attrs[name]
     for name in layout.SOURCES:
         if f"{name}/source" in source:
             text = layout.to_python(source[f"{name}/source"][()])
-            reserve(clean, text_bytes(text))
-            write_source(clean, name, text)
+            reserve(final, text_bytes(text))
+            write_source(final, name, text)
 
 
 def write_source(file: Any, name: str, text: str) -> None:
@@ -89,24 +89,24 @@ def write_source(file: Any, name: str, text: str) -> None:
     dataset.attrs["sha256"] = layout.digest(dataset)
 
 
-def copy_stream(source: Any, target: Any, rows: int) -> None:
-    """Copy the first `rows` rows of every column of a stream, with a checksum for each column."""
-    time = copy_column(source["time"], target, rows)
+def copy_stream(source: Any, target: Any, count: int) -> None:
+    """Copy the first `count` rows of every column of a stream, with a checksum for each column."""
+    time = copy_column(source["time"], target, count)
     time.make_scale("time")
     for name in source:
         if name != "time":
-            copy_column(source[name], target, rows).dims[0].attach_scale(time)
+            copy_column(source[name], target, count).dims[0].attach_scale(time)
 
 
-def copy_column(source: Any, target: Any, rows: int) -> Any:
-    """Copy the first `rows` rows of a column block by block, with its attributes and a new checksum."""
+def copy_column(source: Any, target: Any, count: int) -> Any:
+    """Copy the first `count` rows of a column block by block, with its attributes and a new checksum."""
     name = source.name.rsplit("/", 1)[-1]
     dtype = source.dtype.newbyteorder("<")
-    chunks = (max(1, min(CHUNK_ROWS, rows)),)
-    dataset = target.create_dataset(name, (rows,), dtype=dtype, chunks=chunks, maxshape=(None,), **COMPRESSION)
+    chunks = (max(1, min(CHUNK_ROWS, count)),)
+    dataset = target.create_dataset(name, (count,), dtype=dtype, chunks=chunks, maxshape=(None,), **COMPRESSION)
     sha = hashlib.sha256()
-    for start in range(0, rows, layout.BLOCK_ROWS):
-        block = layout.little_endian(source[start : min(start + layout.BLOCK_ROWS, rows)])
+    for start in range(0, count, layout.BLOCK_ROWS):
+        block = layout.little_endian(source[start : min(start + layout.BLOCK_ROWS, count)])
         reserve(dataset.file, block.nbytes)
         dataset[start : start + len(block)] = block
         dataset.flush()
@@ -118,7 +118,12 @@ def copy_column(source: Any, target: Any, rows: int) -> Any:
 
 
 def write_table(group: Any, columns: Mapping[str, int | None], rows: Sequence[Row]) -> None:
-    """Store rows as parallel arrays; texts have variable length."""
+    """Store rows as one dataset for each column.
+
+    Parameters
+    ----------
+    columns : by name, the width of a text in the live file, or None for numbers; here texts have variable length.
+    """
     for column, width in columns.items():
         values = [row[column] for row in rows]
         if width is None:
@@ -131,7 +136,7 @@ def write_table(group: Any, columns: Mapping[str, int | None], rows: Sequence[Ro
 
 
 def as_text(value: Any) -> str:
-    """Convert a cell to text; step parameters become JSON."""
+    """Return a cell as text: a text unchanged, any other value as JSON."""
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
 
 
@@ -141,5 +146,5 @@ def text_bytes(text: str) -> int:
 
 
 def one_line(text: str) -> str:
-    """Return the text without line breaks."""
+    """Return the text on one line, each run of white space as one space."""
     return layout.storable(" ".join(text.split()))

@@ -211,7 +211,7 @@ class RunWriter:
     def _repack(self, status: str, reason: str) -> None:
         trim(self.path)
         with h5py.File(self.path, "r") as live, replacement(self.path) as target:
-            repack(live, target, status=status, reason=reason, rows=self._written, tables=self._tables)
+            repack(live, target, status=status, reason=reason, row_counts=self._written, tables=self._tables)
 
     def _on_disk(self, action: Callable[[], None]) -> None:
         """Run an action on the file; if it fails, abandon the file and raise RecordingFailed with one line."""
