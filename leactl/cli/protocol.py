@@ -101,8 +101,8 @@ def plan(
         from leactl.bench.bench import Bench
         from leactl.bench.benchfile import host_silences
         from leactl.bench.wiring import MachineWiring
-        from leactl.runner.bench_fit import check_fit, unwitnessed
         from leactl.runner.checked_bench import load_checked
+        from leactl.runner.plan_needs import check_plan_needs, windings_without_second_sensor
         from leactl.runner.thermal_admission import Windings, standing_text
         from leactl.runner.unattended_supply import supplies_left_on
         from leactl.safety.plan_checks import check_rate
@@ -111,8 +111,8 @@ def plan(
         if file.emulated is not None:
             file.emulated.expect(condition)
         machine_bench = Bench(file, devices, MachineWiring())
-        check_fit(expanded, machine_bench)
-        one_sensor_texts = unwitnessed(expanded, machine_bench)
+        check_plan_needs(expanded, machine_bench)
+        one_sensor_texts = windings_without_second_sensor(expanded, machine_bench)
         check_rate(expanded.rate_Hz, host_silences(devices))
         limits = file.limits
         windings = Windings(file, devices, "", cold=True)

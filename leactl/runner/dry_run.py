@@ -9,7 +9,7 @@ from leactl.errors import DeviceError
 from leactl.protocol.plan import Plan
 from leactl.quantities import ChannelSpec
 from leactl.runner import state_folder
-from leactl.runner.bench_fit import unwitnessed
+from leactl.runner.plan_needs import windings_without_second_sensor
 from leactl.runner.preparation import (
     admit,
     bench_of,
@@ -119,4 +119,5 @@ def dry_run(request: Request) -> DryRun:
     if fault := state_folder.folder_of(request.bench, request.in_process).fault:
         warnings.append(f"{fault}; see: leactl doctor")
     planned, forecast = room_needed(request, bench), windings.forecast(plan)
-    return DryRun(plan, planned, windings, forecast, ready.stays_on, warnings, unwitnessed(plan, bench))
+    one_sensor_texts = windings_without_second_sensor(plan, bench)
+    return DryRun(plan, planned, windings, forecast, ready.stays_on, warnings, one_sensor_texts)

@@ -12,8 +12,8 @@ from leactl.driver.contract import MotionDevice
 from leactl.errors import InputError
 from leactl.protocol.plan import Plan, SetRecordRate, SetSupply
 from leactl.runner import locks
-from leactl.runner.bench_fit import check_fit, check_setup
 from leactl.runner.latch import refuse_lost_runs
+from leactl.runner.plan_needs import check_plan_needs, check_setup
 from leactl.runner.request import Request
 from leactl.runner.thermal_admission import Windings
 from leactl.safety.current_tracking import VoltageNeed
@@ -40,7 +40,7 @@ def admit(request: Request, windings: Windings) -> Admitted:
         a supply's current.
     """
     bench = bench_of(request)
-    check_fit(request.plan, bench)
+    check_plan_needs(request.plan, bench)
     require_channels_for_interlocks(bench, request.bench_document)
     planned = room_needed(request, bench)
     check_room(request.bench.interlocks.disk_space, free_bytes(request.directory), planned)

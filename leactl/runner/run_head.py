@@ -10,8 +10,8 @@ from leactl.bench.records import devices_with_exports
 from leactl.model.motor import load_motor
 from leactl.runfile.write.writer import RunInfo, RunWriter
 from leactl.runner import state_folder
-from leactl.runner.bench_fit import unwitnessed
 from leactl.runner.flushing import SparseWriter
+from leactl.runner.plan_needs import windings_without_second_sensor
 from leactl.runner.progress import Progress
 from leactl.runner.request import Request
 from leactl.runner.thermal_admission import Windings
@@ -72,7 +72,7 @@ def introduce(request: Request, windings: Windings, writer: RunWriter, bench: Be
         writer.event(0.0, "warning", name, text)
     if (seed := request.noise_seed) is not None:
         writer.event(0.0, "info", "emulation", f"seed = {seed}")
-    for line in unwitnessed(request.plan, bench):
+    for line in windings_without_second_sensor(request.plan, bench):
         writer.event(0.0, "info", "windings", line)
     for line in stays_on:
         writer.event(0.0, "info", "supplies", line)
@@ -83,7 +83,7 @@ def introduce(request: Request, windings: Windings, writer: RunWriter, bench: Be
 def warn_of_bench(request: Request, writer: RunWriter, bench: Bench, progress: Progress) -> None:
     """Record and show the warnings that a person at a real bench should know before it moves."""
     if not request.in_process:  # an emulated winding cannot burn
-        progress.warnings += unwitnessed(request.plan, bench)
+        progress.warnings += windings_without_second_sensor(request.plan, bench)
     doubts = [(name, known.doubt) for name, known in bench.provenance.items() if known.doubt]
     for name, source in devices_with_exports(bench.drivers).items() if not request.in_process else ():
         if source.exports.absent:

@@ -23,12 +23,12 @@ from leactl.errors import AcceptanceFailed, SafetyTrip
 from leactl.protocol.plan import SearchLimit
 from leactl.runfile.write.run_info import new_run_id
 from leactl.runner import runs_underway
-from leactl.runner.bench_fit import limits_of
 from leactl.runner.channel_limits import ACCEPTANCE, LimitVerdict
 from leactl.runner.flushing import InlineFlush, Recording, ThreadedFlush
 from leactl.runner.latch import Latch, OpenLatch
 from leactl.runner.loop import Loop
 from leactl.runner.outcome import Outcome, is_out_of_order, joined, status_of, with_unconfirmed
+from leactl.runner.plan_needs import channel_limits_of
 from leactl.runner.preparation import admit, check, locks_of, refuse_latched
 from leactl.runner.progress import Progress
 from leactl.runner.request import Request
@@ -193,7 +193,7 @@ def _prepare_recording(context: RunContext) -> tuple[Recording, Loop]:
     if request.lines is not None:
         request.lines.begin(progress, run=str(writer.path), protocol=plan.name, bench=request.bench.name)
         writer.heard = {"steps": request.lines.step, "events": request.lines.event}
-    recording = Recording(writer, flush, progress, limits_of(plan, bench))
+    recording = Recording(writer, flush, progress, channel_limits_of(plan, bench))
     return recording, Loop(plan, bench, context.supervisor, context.watchdog, context.control, recording)
 
 

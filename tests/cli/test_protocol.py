@@ -160,11 +160,11 @@ HELD = (
 AWAITED = "quantity: winding_temperature, role: test"
 LIMIT = "{channel: winding_temperature, statistic: max, high: 80, unit: degC}"
 MISFITS = {
-    "hold until": (HELD % AWAITED, "", "waits for winding_temperature of test; no device of bench 'emulated'"),
+    "hold until": (HELD % AWAITED, "", "depends on winding_temperature of test; no device of bench 'emulated'"),
     "wait_until": (
         f"wait_until: {{{AWAITED}, below: 30, unit: degC, timeout_s: 1}}",
         "",
-        "waits for winding_temperature of test; no device of bench 'emulated'",
+        "depends on winding_temperature of test; no device of bench 'emulated'",
     ),
     "acceptance": ("mode: {test: off}", f"acceptance: [{LIMIT}]", "measures no winding_temperature of role 'test'"),
     "needs": ("mode: {test: off}", "needs: [winding_temperature]", "needs winding_temperature; no device of bench"),

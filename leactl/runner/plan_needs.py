@@ -1,4 +1,4 @@
-"""Checks that a bench fits a plan, before anything is touched; used by runs and by plans of runs."""
+"""Check, before a run starts, that a bench has what a plan needs: set-up, limits, drives and channels."""
 
 from leactl.bench.bench import Bench
 from leactl.bench.benchfile import BenchFile
@@ -10,28 +10,36 @@ from leactl.safety.plan_checks import check_setpoints
 from leactl.safety.witnesses import lone_sensors
 
 
-def check_fit(plan: Plan, bench: Bench) -> None:
-    """Refuse a plan whose set-up, setpoints, drives or channels are not the bench's.
+def check_plan_needs(plan: Plan, bench: Bench) -> None:
+    """Raise if the bench lacks what the plan needs.
 
     Raises
     ------
-    InputError : the first misfit.
+    InputError : the bench has another set-up, no such drive or no such channel, or a setpoint is beyond its limits;
+        only the first of these faults.
     """
     check_setup(plan, bench.file)
     _check_roles(plan, bench)
-    _check_needs(plan, bench)
+    _check_quantities(plan, bench)
     _check_awaited_channels(plan, bench)
-    limits_of(plan, bench)  # raises if the bench measures no channel of a limit
+    channel_limits_of(plan, bench)  # raises if the bench measures no channel of a limit
 
 
-def check_setup(plan: Plan, file: BenchFile) -> None:
-    """Refuse another set-up than the bench is built for, and setpoints beyond its limits."""
-    if file.setup is not None and file.setup != plan.setup:
-        raise InputError(f"protocol '{plan.name}' needs set-up '{plan.setup}'; bench '{file.name}' is '{file.setup}'")
-    check_setpoints(file.limits, plan.peaks())
+def check_setup(plan: Plan, bench_file: BenchFile) -> None:
+    """Raise if the plan needs another set-up than the bench has, or a setpoint beyond its limits.
+
+    Raises
+    ------
+    InputError : the bench has another set-up, or one line for each setpoint beyond its limits.
+    """
+    if bench_file.setup is not None and bench_file.setup != plan.setup:
+        raise InputError(
+            f"protocol '{plan.name}' needs set-up '{plan.setup}'; bench '{bench_file.name}' is '{bench_file.setup}'"
+        )
+    check_setpoints(bench_file.limits, plan.peaks())
 
 
-def limits_of(plan: Plan, bench: Bench) -> ChannelLimits:
+def channel_limits_of(plan: Plan, bench: Bench) -> ChannelLimits:
     """Return the plan's limits on channels.
 
     Raises
@@ -42,8 +50,8 @@ def limits_of(plan: Plan, bench: Bench) -> ChannelLimits:
     return ChannelLimits(limits, bench.streams(), bench.file.name)
 
 
-def unwitnessed(plan: Plan, bench: Bench) -> list[str]:
-    """Return one line for each winding that a plan heats and whose bound rests on one sensor."""
+def windings_without_second_sensor(plan: Plan, bench: Bench) -> list[str]:
+    """Return one line for each winding that a plan heats and whose temperature bound depends on one current sensor."""
     heated: dict[str, str] = {}
     for action in plan.actions:
         if isinstance(action, Engage):
@@ -51,11 +59,12 @@ def unwitnessed(plan: Plan, bench: Bench) -> list[str]:
         elif isinstance(action, SetSupply):
             heated |= {role: "line_current" for role, output in action.outputs.items() if output is not None}
     channels = [channel for stream in bench.streams().values() for channel in stream]
-    test_first = dict(sorted(heated.items(), reverse=True))
+    test_first = dict(sorted(heated.items(), reverse=True))  # "test" before "load"
     return lone_sensors(bench.file.interlocks, channels, plan.setup, test_first)
 
 
 def _check_roles(plan: Plan, bench: Bench) -> None:
+    """Raise if the plan moves a drive that the bench does not have."""
     wanted = {role for action in plan.actions if isinstance(action, Engage) for role in action.modes}
     missing = sorted(wanted - bench.drives.keys())
     if missing:
@@ -65,7 +74,8 @@ def _check_roles(plan: Plan, bench: Bench) -> None:
         )
 
 
-def _check_needs(plan: Plan, bench: Bench) -> None:
+def _check_quantities(plan: Plan, bench: Bench) -> None:
+    """Raise if no device measures a quantity that the plan needs."""
     measured = {channel.quantity for channels in bench.streams().values() for channel in channels}
     missing = [quantity for quantity in plan.needs if quantity not in measured]
     if missing:
@@ -75,15 +85,15 @@ def _check_needs(plan: Plan, bench: Bench) -> None:
 
 
 def _check_awaited_channels(plan: Plan, bench: Bench) -> None:
-    """Refuse a plan with a wait, a criterion or a condition on a channel that no device measures."""
+    """Raise if the plan has a wait, a criterion or a condition on a channel that no device measures."""
     measured = {(channel.quantity, channel.role) for channels in bench.streams().values() for channel in channels}
-    readers: list[WaitUntil | Until | InRange] = [action for action in plan.actions if isinstance(action, WaitUntil)]
-    readers += [action.until for action in plan.actions if isinstance(action, Segment) and action.until is not None]
+    awaiting: list[WaitUntil | Until | InRange] = [action for action in plan.actions if isinstance(action, WaitUntil)]
+    awaiting += [action.until for action in plan.actions if isinstance(action, Segment) and action.until is not None]
     conditions = [action.condition for action in plan.actions if isinstance(action, When)]
-    readers += [condition for condition in conditions if isinstance(condition, InRange)]
-    awaited = dict.fromkeys((reader.quantity, reader.role) for reader in readers)
+    awaiting += [condition for condition in conditions if isinstance(condition, InRange)]
+    awaited = dict.fromkeys((item.quantity, item.role) for item in awaiting)
     if missing := [f"{quantity} of {role}" for quantity, role in awaited if (quantity, role) not in measured]:
         raise InputError(
-            f"protocol '{plan.name}' waits for {', '.join(missing)};"
+            f"protocol '{plan.name}' depends on {', '.join(missing)};"
             f" no device of bench '{bench.file.name}' measures that"
         )
