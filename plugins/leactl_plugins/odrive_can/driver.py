@@ -315,22 +315,22 @@ class OdriveCan(EngagingDrive):
         self._enable_by, self._ask_at = math.inf, -math.inf
         self._asked_closed_loop, self.axis_state = False, AxisState.UNDEFINED
         for path in READ_BACK_PARAMETERS:
-            self._parameters.shown.pop(path, None)
+            self._parameters.reported.pop(path, None)
 
     def _ask_back(self) -> None:
         """Query again the parameters that the drive must report before it is engaged."""
         for path in READ_BACK_PARAMETERS:
-            self._parameters.shown.pop(path, None)
+            self._parameters.reported.pop(path, None)
             self._parameters.ask(path)
 
     def _is_ready(self) -> bool:
         """Return whether the drive reports the demanded mode, and a watchdog armed with the time set at `open`."""
-        shown = self._parameters.is_shown
+        has_reported = self._parameters.has_reported
         return (
-            shown(endpoints.CONTROL_MODE, self._control_mode)
-            and shown(endpoints.INPUT_MODE, self._input_mode)
-            and shown(endpoints.ENABLE_WATCHDOG, 1.0)
-            and shown(endpoints.WATCHDOG_TIMEOUT, self.settings.host_silence_s)
+            has_reported(endpoints.CONTROL_MODE, self._control_mode)
+            and has_reported(endpoints.INPUT_MODE, self._input_mode)
+            and has_reported(endpoints.ENABLE_WATCHDOG, 1.0)
+            and has_reported(endpoints.WATCHDOG_TIMEOUT, self.settings.host_silence_s)
         )
 
     def _go_towards_operation(self, now: float) -> None:
@@ -346,7 +346,7 @@ class OdriveCan(EngagingDrive):
             self._set_state(AxisState.IDLE)
         elif not self._is_ready():
             self._send(Command.SET_CONTROLLER_MODE, MODES.pack(self._control_mode, self._input_mode))
-            self._parameters.tell(endpoints.ENABLE_WATCHDOG, 1)
+            self._parameters.send(endpoints.ENABLE_WATCHDOG, 1)
             self._ask_back()
         elif self.axis_state != AxisState.CLOSED_LOOP_CONTROL:
             if not self._supervised:
@@ -377,8 +377,8 @@ class OdriveCan(EngagingDrive):
             return
         if self._enable_by == -math.inf:
             raise DeviceFault(f"{self.name}: left operation by itself, state {self.axis_state}")
-        expected, timeout = self.settings.host_silence_s, self._parameters.shown.get(endpoints.WATCHDOG_TIMEOUT)
-        if timeout is not None and not self._parameters.is_near(timeout, expected):
+        expected, timeout = self.settings.host_silence_s, self._parameters.reported.get(endpoints.WATCHDOG_TIMEOUT)
+        if timeout is not None and not self._parameters.reads_back_as(timeout, expected):
             raise DeviceFault(
                 f"{self.name}: {endpoints.WATCHDOG_TIMEOUT} is {timeout:g} s although {expected:g} s was set when it"
                 " was opened: it has restarted, or another host has set it; open it again"

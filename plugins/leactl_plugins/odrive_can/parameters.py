@@ -5,29 +5,30 @@ from leactl.errors import DeviceError, NoAnswer
 from leactl_plugins.odrive_can.can_simple import NODE_SHIFT, PARAMETER, READ, WRITE, Command
 from leactl_plugins.odrive_can.endpoints import EndpointTable
 
-MOST_TRIES = 3  # of one query or one write: a frame may get lost
-READ_BACK_TOLERANCE = 1e-6  # share of a value, for the drive's single precision
+MOST_TRIES = 3  # of a query or a write, because a frame may get lost
+READ_BACK_TOLERANCE = 1e-6  # relative; the drive's single precision rounds by 6e-8
 
 
 class Parameters:
-    """Parameters that one axis has reported."""
+    """Reads and writes the parameters of one axis, and keeps the newest value that it has reported of each."""
 
     def __init__(self, name: str, port: CanPort, node: int, table: EndpointTable, timeout_s: float) -> None:
         self._name, self._port, self._timeout_s = name, port, timeout_s
         self._identifier = node << NODE_SHIFT | Command.RX_SDO
         self._endpoints = table.endpoints
         self._paths = {endpoint.number: path for path, endpoint in table.endpoints.items()}
-        self._awaited, self._came = "", [False]
-        self.shown: dict[str, float] = {}  # newest reported value by path
+        self._awaited = ""  # path
+        self._answered = [False]  # a list, because `pump_until` watches items that listeners set
+        self.reported: dict[str, float] = {}  # newest reported value by path
 
     def ask(self, path: str) -> None:
-        """Query a parameter without waiting; its value arrives in `shown`."""
+        """Query a parameter without waiting; its value arrives in `reported`."""
         self._port.send(self._identifier, PARAMETER.pack(READ, self._endpoints[path].number, 0))
 
-    def tell(self, path: str, value: float) -> None:
-        """Send a value without waiting, and drop the reported one."""
+    def send(self, path: str, value: float) -> None:
+        """Send a value without waiting, and forget the value reported before."""
         endpoint = self._endpoints[path]
-        self.shown.pop(path, None)
+        self.reported.pop(path, None)
         written = value if endpoint.layout.format == "<f" else int(value)
         self._port.send(self._identifier, PARAMETER.pack(WRITE, endpoint.number, 0) + endpoint.layout.pack(written))
 
@@ -39,10 +40,10 @@ class Parameters:
         NoAnswer : the drive has answered none of `MOST_TRIES` queries in time.
         """
         for _ in range(MOST_TRIES):
-            self._awaited, self._came[0] = path, False
+            self._awaited, self._answered[0] = path, False
             self.ask(path)
-            if self._port.pump_until(self._came, self._port.clock.now() + self._timeout_s):
-                return self.shown[path]
+            if self._port.pump_until(self._answered, self._port.clock.now() + self._timeout_s):
+                return self.reported[path]
         raise NoAnswer(f"{self._name}: {path} was not answered in {MOST_TRIES} times {self._timeout_s:g} s")
 
     def write(self, path: str, value: float) -> None:
@@ -50,23 +51,24 @@ class Parameters:
 
         Raises
         ------
-        DeviceError : another value reads back; `NoAnswer` if the drive does not answer.
+        DeviceError : the drive reports another value.
+        NoAnswer : the drive does not answer.
         """
         for _ in range(MOST_TRIES):
-            self.tell(path, value)
+            self.send(path, value)
             read_back = self.read(path)
-            if self.is_near(read_back, value):
+            if self.reads_back_as(read_back, value):
                 return
         raise DeviceError(f"{self._name}: {path} is {read_back:g} although {value:g} was written")
 
-    def is_shown(self, path: str, value: float) -> bool:
-        """Whether the drive has reported this value."""
-        return self.is_near(self.shown.get(path), value)
+    def has_reported(self, path: str, value: float) -> bool:
+        """Return whether the newest value that the drive has reported of a parameter equals this one."""
+        return self.reads_back_as(self.reported.get(path), value)
 
     @staticmethod
-    def is_near(shown: float | None, value: float) -> bool:
-        """Whether a reported value equals this one."""
-        return shown is not None and abs(shown - value) <= READ_BACK_TOLERANCE * abs(value)
+    def reads_back_as(reported: float | None, value: float) -> bool:
+        """Return whether a reported value equals a written one to `READ_BACK_TOLERANCE`; False if none was reported."""
+        return reported is not None and abs(reported - value) <= READ_BACK_TOLERANCE * abs(value)
 
     def on_frame(self, data: bytearray, _timestamp: float) -> None:
         """Receive an answer; one without a value confirms a write (firmware 0.6.11)."""
@@ -77,6 +79,6 @@ class Parameters:
             return
         layout = self._endpoints[path].layout
         if len(data) >= PARAMETER.size + layout.size:
-            (self.shown[path],) = layout.unpack_from(data, PARAMETER.size)
+            (self.reported[path],) = layout.unpack_from(data, PARAMETER.size)
             if path == self._awaited:
-                self._came[0] = True
+                self._answered[0] = True
