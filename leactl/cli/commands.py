@@ -21,7 +21,7 @@ COMMANDS: Final = {  # name of the command, which is that of its module, and the
     "demo": (
         "Characterise an emulated actuator: torque constant and friction in three preloads, beside the paper's figures."
     ),
-    "docs": "List the pages of the manual and where they lie, or print one.",
+    "docs": "List the pages of the manual and their folder, or print one page.",
     "doctor": "Check Python, packages, plug-ins, buses, browser and disk.",
     "bench": "Bench files, and what is done at a bench beside a protocol.",
     "campaign": "Run campaigns: `leactl campaign CAMPAIGN` begins one or goes on with it.",

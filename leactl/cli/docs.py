@@ -16,17 +16,21 @@ FOLDERS = ("tutorial", "how-to", "reference", "explanation", "evidence")
 KNOWN_PAGE = "reference/run-format.md"  # by which the folder of pages is recognised
 
 
-def pages(incomplete: str) -> list[str]:
-    """Return the names of pages that begin with the typed word, for shell completion."""
-    return [name for name in pages_by_name(folder_of_pages()) if name.startswith(incomplete)]
+def complete_page(incomplete: str) -> list[str]:
+    """Return the names of pages that begin with the typed word, for shell completion; empty if none are installed."""
+    try:
+        folder = folder_of_pages()
+    except InputError:
+        return []
+    return [name for name in pages_by_name(folder) if name.startswith(incomplete)]
 
 
 @app.command(epilog=examples("docs", "docs safety"))
 def docs(
-    page: str = typer.Argument("", help="Print this page; without one all are listed.", autocompletion=pages),
+    page: str = typer.Argument("", help="Print this page; without one all are listed.", autocompletion=complete_page),
     as_json: bool = typer.Option(False, "--json", help="Print JSON on stdout."),
 ) -> None:
-    """List the pages of the manual and where they lie, or print one."""
+    """List the pages of the manual and their folder, or print one page."""
     from leactl.report.terminal import list_line
 
     folder = folder_of_pages()
@@ -35,8 +39,8 @@ def docs(
     if page and page not in titles:
         raise InputError(f"there is no page {page!r}; there are {', '.join(titles)}")
     if as_json:
-        text = {"text": paths[page].read_text(encoding="utf-8")} if page else {}
-        typer.echo(json.dumps({"folder": str(folder), "pages": titles, **text}))
+        page_text = {"text": paths[page].read_text(encoding="utf-8")} if page else {}
+        typer.echo(json.dumps({"folder": str(folder), "pages": titles, **page_text}))
     elif page:
         typer.echo(paths[page].read_text(encoding="utf-8"), nl=False)
     else:
@@ -72,6 +76,7 @@ def folder_of_pages() -> Path:
         ]
     except PackageNotFoundError:
         installed_pages = []
+    # all pages are in one folder, two levels above KNOWN_PAGE
     folders = {path.parents[1] for path in installed_pages if path.as_posix().endswith(KNOWN_PAGE) and path.is_file()}
     if not folders:
         raise InputError("the pages are not installed; they are the folder docs of the project's source")

@@ -4,6 +4,8 @@ import json
 import re
 from pathlib import Path
 
+import leactl as package
+from leactl.cli.docs import complete_page
 from tests.cli.terminal import leactl
 from tests.cli.test_help import COMMANDS
 
@@ -27,6 +29,13 @@ def test_a_page_that_is_not_there_is_one_line_with_those_that_are():
     [line] = done.stderr.splitlines()
     assert "'safty'" in line
     assert "safety" in line
+
+
+def test_a_shell_offers_no_page_where_none_is_installed(monkeypatch, tmp_path):
+    assert complete_page("safe") == ["safety"]
+    monkeypatch.setattr(package, "__file__", str(tmp_path / "leactl" / "__init__.py"))
+    monkeypatch.setattr("importlib.metadata.files", lambda _name: [])
+    assert complete_page("safe") == []
 
 
 def test_the_page_of_commands_has_each_with_its_first_sentence():
