@@ -11,7 +11,7 @@ from leactl.bench import benchfile
 from leactl.emulation.bench.emulated_bench import EmulatedBench
 from leactl.emulation.plant.effects import make_effect
 from leactl.emulation.plant.exact.rig import Rig
-from leactl.emulation.plant.exact.rig_phases import PARTS, HottestPhase
+from leactl.emulation.plant.exact.rig_phases import PHASES_OF_PART, HottestPhase
 from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters, PhaseParameters, ThermalParameters
 from leactl.emulation.plant.phase_lanes import PhaseLane, PhaseLanes
 from leactl.emulation.plant.phases import lead_squares
@@ -38,7 +38,7 @@ def test_a_held_current_at_rest_heats_one_phase_to_the_closed_form():
     actuator.command("current", 10.0)
     run(rig, 600.0, 1.0)
     expected = settled(LEA, 100.0 * AT_REST)
-    assert rig.hottest_phase("test").now == pytest.approx(expected[0], abs=0.1)
+    assert rig.hottest_phase("test").present == pytest.approx(expected[0], abs=0.1)
     assert actuator.winding_temperature == pytest.approx(expected[:3].mean(), abs=0.1)
     assert actuator.housing_temperature == pytest.approx(expected[3], abs=0.1)
     # the voltage has the mean of the three resistances
@@ -62,7 +62,7 @@ def test_rotor_angle_and_offset_choose_the_phase(offset):
         theta = own.pole_pairs * 0.5 * (before + rig.actuators["test"].angle) + offset
         shares = 2.0 / 3.0 * np.cos(theta - np.arange(3) * 2.0 * math.pi / 3.0) ** 2
         beyond += 0.001 * ((shares - 1.0 / 3.0) * 0.264 * 400.0 * 3.0 / 22.9 - decay * beyond)
-    found = rig.hottest_phase("test").now - rig.actuators["test"].winding_temperature
+    found = rig.hottest_phase("test").present - rig.actuators["test"].winding_temperature
     assert found == pytest.approx(beyond.max(), rel=0.005)
 
 
@@ -71,12 +71,12 @@ def test_highest_is_kept_while_the_phase_cools():
     rig.actuators["test"].command("current", 30.0)
     run(rig, 5.0, 0.01)
     peak = rig.hottest_phase("test")
-    assert peak.now == peak.highest
+    assert peak.present == peak.highest
     rig.actuators["test"].command("off")
     run(rig, 20.0, 0.01)
     cooled = rig.hottest_phase("test")
     assert cooled.highest == peak.highest
-    assert cooled.now < peak.now - 50.0
+    assert cooled.present < peak.present - 50.0
 
 
 def test_direct_current_through_two_leads_settles_at_the_closed_form():
@@ -84,7 +84,7 @@ def test_direct_current_through_two_leads_settles_at_the_closed_form():
     rig.heater_current = 9.0
     run(rig, 1000.0, 50.0)
     expected = settled(LEA, 81.0 * TWO_LEADS)
-    assert rig.hottest_phase("test").now == pytest.approx(expected[0], abs=1e-4)
+    assert rig.hottest_phase("test").present == pytest.approx(expected[0], abs=1e-4)
     assert rig.actuators["test"].housing_temperature == pytest.approx(expected[3], abs=1e-4)
     assert rig.line_voltage == pytest.approx(9.0 * 2.0 * LEA.resistance(expected[0]), rel=1e-6)
     assert rig.part_of_winding("test", "active") == pytest.approx(expected[0], abs=1e-4)
@@ -110,7 +110,7 @@ def test_a_winding_whose_phases_are_not_resolved_has_no_parts(plant):
     run(rig, 20.0, 1.0)
     actuator = rig.actuators["test"]
     assert actuator.winding_temperature > 35.0
-    assert {rig.part_of_winding("test", part) for part in PARTS} == {actuator.winding_temperature}
+    assert {rig.part_of_winding("test", part) for part in PHASES_OF_PART} == {actuator.winding_temperature}
 
 
 def test_rig_and_lanes_are_one_plant():
@@ -125,7 +125,7 @@ def test_rig_and_lanes_are_one_plant():
             rig.advance(rig.time + 0.001)
             current.append(test.current_true)
             velocity.append((test.angle - before) / 0.001)
-            hottest.append(rig.hottest_phase("test").now)
+            hottest.append(rig.hottest_phase("test").present)
     lanes = PhaseLanes([PhaseLane()], 0.001)
     expected = lanes.run(np.array(current)[:, None], np.array(velocity)[:, None])[:, 0]
     np.testing.assert_allclose(hottest, expected, atol=0.05)
@@ -174,7 +174,7 @@ def test_a_bench_file_resolves_the_phases(tmp_path):
     bench.machine("test").command("current", 20.0)
     bench.clock.sleep_until(3.0)
     hottest = bench.rig.hottest_phase("test")
-    assert hottest.now > bench.rig.actuators["test"].winding_temperature + 10.0
+    assert hottest.present > bench.rig.actuators["test"].winding_temperature + 10.0
 
 
 @pytest.mark.parametrize(
@@ -221,4 +221,4 @@ def test_a_drive_that_reads_its_current_low_heats_with_the_current_that_flows():
     plain.actuators["test"].command("current", 10.0 * math.sqrt(1.5))
     for rig in (misread, plain):
         run(rig, 5.0, 0.01)
-    assert misread.hottest_phase("test").now == pytest.approx(plain.hottest_phase("test").now, abs=0.05)
+    assert misread.hottest_phase("test").present == pytest.approx(plain.hottest_phase("test").present, abs=0.05)

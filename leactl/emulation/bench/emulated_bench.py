@@ -20,7 +20,7 @@ from leactl.emulation.faults.device_readings import DeviceSignals
 from leactl.emulation.faults.schedule import Schedule
 from leactl.emulation.plant.effects.contract import RIG_HOOKS, own_hooks
 from leactl.emulation.plant.exact.rig import Actuator, Rig
-from leactl.emulation.plant.exact.rig_phases import PARTS
+from leactl.emulation.plant.exact.rig_phases import PHASES_OF_PART
 from leactl.emulation.plant.noise import Noise
 from leactl.emulation.plant.parameters import BenchParameters
 from leactl.emulation.plant.stepped.rig import SteppedActuator, SteppedRig
@@ -240,7 +240,7 @@ class EmulatedBench:
         spread, offset, gain = settings.temperature_noise_K, settings.temperature_offset_K, settings.temperature_gain
         if quantity == "ambient_temperature":
             return lambda: ambient + offset + spread * noise()
-        if quantity == "winding_temperature" and part in PARTS:
+        if quantity == "winding_temperature" and part in PHASES_OF_PART:
             return lambda: ambient + offset + gain * (rig.part_of_winding(role, part) - ambient) + spread * noise()
         return lambda: ambient + offset + gain * (getattr(actuator, quantity) - ambient) + spread * noise()
 

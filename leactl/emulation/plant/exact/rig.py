@@ -35,7 +35,7 @@ from leactl.emulation.plant.exact.regime import (
     Switch,
     electric,
 )
-from leactl.emulation.plant.exact.rig_phases import HottestPhase, RigPhases, refuse_idle_settings
+from leactl.emulation.plant.exact.rig_phases import HottestPhase, RigPhases, refuse_unused_phase_settings
 from leactl.emulation.plant.noise import Noise
 from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
 from leactl.emulation.plant.thermal import ExactThermalNetwork
@@ -146,7 +146,7 @@ class Rig:
         pair = [Actuator(self, k, p, self.bench.ambient_temperature) for k, p in enumerate((first, second))]
         self._pair = pair
         self.actuators = dict(zip(ROLES, pair, strict=True))
-        refuse_idle_settings(self.bench, first, second)
+        refuse_unused_phase_settings(self.bench, first, second)
         offsets = tuple(self._sense_current(k, 0.0) for k in (0, 1))
         gains = tuple(self._sense_current(k, 1.0) - offsets[k] for k in (0, 1))
         self._plant = RigParameters((first, second), self.bench, (gains[0], gains[1]), (offsets[0], offsets[1]))
@@ -210,7 +210,7 @@ class Rig:
         """
         if self._phases is None:
             raise InputError("the bench's phases are not resolved; set emulated.bench.phase_resolved: true")
-        self._phases.hold(self._friction_heat)
+        self._phases.apply_gathered_heat(self._friction_heat)
         return self._phases.hottest(ROLES.index(role))
 
     def part_of_winding(self, role: str, part: str) -> float:
@@ -220,8 +220,8 @@ class Rig:
         """
         if self._phases is None:
             return self.actuators[role].winding_temperature
-        self._phases.hold(self._friction_heat)
-        return self._phases.part(ROLES.index(role), part)
+        self._phases.apply_gathered_heat(self._friction_heat)
+        return self._phases.part_temperature(ROLES.index(role), part)
 
     def state(self, index: int) -> float:
         """One number of the state, by its index in regime.py."""
@@ -402,7 +402,7 @@ class Rig:
                     p = actuator.parameters
                     self._friction_heat[k] += half * (p.viscous_damping * speed + p.coulomb_friction) * speed
         if self._phases is not None:
-            self._phases.take(step, point, state, self._friction_heat)
+            self._phases.gather_step(step, point, state, self._friction_heat)
         point[:STATES] = state
 
     def _retreat(self, level: int, margins: Array, remaining: float) -> float:

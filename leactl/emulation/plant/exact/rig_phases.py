@@ -17,20 +17,20 @@ from leactl.errors import InputError
 
 LONGEST_GATHERING_S = 0.01  # of heat, before it is applied: 45 A at rest warm a phase by 0.5 K in this time
 LEAST_STEP_S = 1e-9  # rounding error of the requested times; a shorter step is left out
-PARTS = {"active": slice(0, 2), "inactive": slice(2, 3)}  # phases that two leads feed, and the other one
+PHASES_OF_PART = {"active": slice(0, 2), "inactive": slice(2, 3)}  # phases that two leads feed, and the other one
 LONGEST_STEP_S = 0.05  # under direct current: 1/130 of a phase's time constant
 
 
-def refuse_idle_settings(bench: BenchParameters, *pair: ActuatorParameters) -> None:
-    """Raise InputError where an actuator has settings of its phases and the bench does not resolve them."""
+def refuse_unused_phase_settings(bench: BenchParameters, *pair: ActuatorParameters) -> None:
+    """Raise InputError if an actuator has settings of its phases although the bench does not resolve phases."""
     if not bench.phase_resolved and any(actuator.phases != PhaseParameters() for actuator in pair):
         raise InputError("phases: these act only where the bench has phase_resolved: true; set it or leave them out")
 
 
 class HottestPhase(NamedTuple):
-    """Hottest of an actuator's three phases."""
+    """Temperature of the hottest of an actuator's three phases."""
 
-    now: float  # degC
+    present: float  # degC
     highest: float  # degC, since the rig was made
 
 
@@ -42,7 +42,7 @@ class HeatedActuator(Protocol):
 
 
 class RigPhases:
-    """Test and load actuator as two lanes of one network, whose means the actuators' thermal nodes show."""
+    """Test and load actuator as two lanes of one network of phases, whose means are copied to their thermal nodes."""
 
     def __init__(self, pair: Sequence[HeatedActuator], ambient: float) -> None:
         actuators = [actuator.parameters for actuator in pair]
@@ -50,51 +50,61 @@ class RigPhases:
         self._thermal_nodes = [actuator.thermal for actuator in pair]
         self._highest = np.full(len(pair), ambient)
         self._phases: list[list[float]] = self.network.temperatures.T.tolist()  # degC, of each actuator
-        self._turns = np.array([float(p.pole_pairs) for p in actuators])
-        self._offsets = np.array([p.phases.commutation_offset for p in actuators])
-        self._steps: list[float] = []
+        self._pole_pairs = np.array([float(p.pole_pairs) for p in actuators])
+        self._commutation_offsets = np.array([p.phases.commutation_offset for p in actuators])  # rad
+        self._durations: list[float] = []  # s, of each step
         self._ends: list[list[tuple[float, ...]]] = []  # currents and angles of both at either end of each step
-        self._gathered = 0.0
+        self._gathered = 0.0  # s
 
     @property
     def lead_resistance(self) -> float:
-        """Two phases of the test actuator in series [ohm]."""
+        """Return the resistance of two phases of the test actuator in series [ohm]."""
         return float(self.network.resistances[:2, 0].sum())
 
     def hottest(self, index: int) -> HottestPhase:
-        """Present and highest temperature of the hottest phase of one actuator."""
+        """Return the present and the highest temperature of the hottest phase of one actuator."""
         return HottestPhase(float(self.network.hottest[index]), float(self._highest[index]))
 
-    def part(self, index: int, part: str) -> float:
-        """Mean temperature of one actuator's `active` phases, which two leads feed, or of its `inactive` one [degC]."""
-        phases = self._phases[index][PARTS[part]]
+    def part_temperature(self, index: int, part: str) -> float:
+        """Return the mean temperature [degC] of one part, by `PHASES_OF_PART`, of an actuator's winding."""
+        phases = self._phases[index][PHASES_OF_PART[part]]
         return sum(phases) / len(phases)
 
-    def take(self, step: float, before: Array, after: Array, friction: list[float]) -> None:
-        """Record a step of the rig [s] between two states, and the friction heat [J] since the last `hold`."""
-        self._steps.append(step)
-        self._ends.append([_ends(before), _ends(after)])
+    def gather_step(self, step: float, before: Array, after: Array, friction: list[float]) -> None:
+        """Gather the heat of a step [s] between two states of the rig, and apply it when due.
+
+        Parameters
+        ----------
+        friction : heat of each actuator [J] since heat was last applied; reset to zero when it is applied.
+        """
+        self._durations.append(step)
+        self._ends.append([_currents_and_angles(before), _currents_and_angles(after)])
         self._gathered += step
         if self._gathered > LONGEST_GATHERING_S - LEAST_STEP_S:
-            self.hold(friction)
+            self.apply_gathered_heat(friction)
 
-    def hold(self, friction: list[float]) -> None:
+    def apply_gathered_heat(self, friction: list[float]) -> None:
         """Apply the gathered heat to the network, and reset the friction heat to zero."""
         if self._gathered < LEAST_STEP_S:
             return
-        lengths, ends = np.array(self._steps), np.array(self._ends)  # step, end, current and angle of each
-        total = float(lengths.sum())
+        durations = np.array(self._durations)
+        ends = np.array(self._ends)  # shape (steps, 2 ends, 2 currents and 2 angles)
+        total = float(durations.sum())
         squares = (ends[:, :, :2] ** 2).mean(axis=1)
-        angles = ends[:, :, 2:] * self._turns + self._offsets
+        angles = ends[:, :, 2:] * self._pole_pairs + self._commutation_offsets
         phase_squares = turning_squares(squares, angles[:, 0], angles[:, 1])
-        means = np.einsum("s,psl->pl", lengths, phase_squares) / total
+        # s: step, p: phase, l: lane
+        means = np.einsum("s,psl->pl", durations, phase_squares) / total
         self._step(round(total, 9), means, np.array(friction) / total)
         self._update_thermal_nodes()
         friction[:] = [0.0] * len(friction)
-        self._steps, self._ends, self._gathered = [], [], 0.0
+        self._durations, self._ends, self._gathered = [], [], 0.0
 
     def heat_leads(self, duration: float, current: float) -> None:
-        """Advance by a duration [s] with direct current through two leads of the test actuator [A]."""
+        """Advance by a duration [s] with direct current through two leads of the test actuator [A].
+
+        Heat that is still gathered has to be applied before.
+        """
         if duration < LEAST_STEP_S:
             return
         squares = lead_squares(np.array([current**2, 0.0]))
@@ -114,6 +124,7 @@ class RigPhases:
             nodes.winding, nodes.housing = winding, housing
 
 
-def _ends(state: Array) -> tuple[float, ...]:
+def _currents_and_angles(state: Array) -> tuple[float, ...]:
+    """Return the currents of test and load actuator, then their angles."""
     item = state.item
     return item(CURRENT), item(PER_ACTUATOR + CURRENT), item(ANGLE), item(PER_ACTUATOR + ANGLE)

@@ -11,7 +11,7 @@ import numpy as np
 
 from leactl.emulation.plant.effects.contract import PlantEffect
 from leactl.emulation.plant.exact.rig import LEAST_POWERED_V, MODES, ROLES, SETUPS
-from leactl.emulation.plant.exact.rig_phases import refuse_idle_settings
+from leactl.emulation.plant.exact.rig_phases import refuse_unused_phase_settings
 from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameters
 from leactl.emulation.plant.stepped.lanes import Lane
 from leactl.emulation.plant.stepped.plant import TICK, SteppedPlant
@@ -43,7 +43,7 @@ class SteppedRig:
         self.hung_torque = 0.0  # N*m, of weights on an arm of the torque sensor
         self._dead_bus: float | None = None  # V, where that is too little for a drive
         lane = Lane(setup, test or ActuatorParameters(), load or ActuatorParameters(), self.bench, tuple(effects))
-        refuse_idle_settings(self.bench, lane.test, lane.load)
+        refuse_unused_phase_settings(self.bench, lane.test, lane.load)
         self.plant, self._effects, self._parameters = SteppedPlant([lane]), tuple(effects), lane.test
         pair = [SteppedActuator(self, k, p) for k, p in enumerate((lane.test, lane.load))]
         self.actuators = dict(zip(ROLES, pair, strict=True))
