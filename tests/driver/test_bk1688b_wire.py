@@ -445,5 +445,5 @@ def test_settings_that_make_no_sense_are_refused(wrong):
 
 
 def test_a_limit_above_the_model_s_rating_names_both():
-    with pytest.raises(ValidationError, match="voltage_limit_V 20 V: a 1688B is good for 18 V"):
+    with pytest.raises(ValidationError, match="voltage_limit_V: 20 V is above the 18 V of a 1688B; lower it"):
         Bk1688bSettings(**(BK | {"voltage_limit_V": 20.0}))

@@ -12,7 +12,7 @@ from leactl.driver.serial_supply import Regulation, SupplyReading, SwitchOffTrou
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl_plugins.bk1688b import replies
 from leactl_plugins.bk1688b.replies import OK, Display, LevelCounts, parse_last_line
-from leactl_plugins.bk1688b.settings import HIGHEST_RATING, LEAST_V, STEP_V, Bk1688bSettings, is_near
+from leactl_plugins.bk1688b.settings import HIGHEST_RATING, LEAST_V, STEP_V, Bk1688bSettings, can_be_model
 
 ON, OFF = "SOUT0", "SOUT1"  # by the manual: 0 switches on, 1 off
 DISPLAY = Query("GETD", replies.parse_display, last=OK)
@@ -28,7 +28,7 @@ class Bk1688bDialogue:
     off = f"\r{OFF}\r".encode("ascii")  # the first end closes what somebody has left half sent
 
     def __init__(self, settings: Bk1688bSettings) -> None:
-        self._settings, self._step = settings, settings.rating.step_A
+        self._settings, self._step = settings, settings.rating.current_step
         self._commanded = LevelCounts(round(LEAST_V / STEP_V), 0)
         self._limits = HIGHEST_RATING  # V and A; it may be another model until it reports its limits
         self._mark = 0
@@ -78,7 +78,7 @@ class Bk1688bDialogue:
             yield from self.synchronise()
         else:
             volts, amperes = most.volts * STEP_V, most.amperes * self._step
-            if not is_near(most, rating):
+            if not can_be_model(most, rating):
                 raise DeviceError(
                     f"limits of {volts:.1f} V and {amperes:.1f} A answer; a {self._settings.model} with"
                     f" {rating.voltage:g} V and {rating.current:g} A was expected"

@@ -53,6 +53,6 @@ class Bk1688b(SupplyDriver):
             is on could not be distinguished from one that is off; nothing is sent.
         """
         rating = self.settings.rating
-        refuse_between_steps(self.name, (voltage, current), (STEP_V, rating.step_A))
-        least = max(LEAST_OVER_OFF_CURRENT * self.settings.off_current_A, rating.step_A)
+        refuse_between_steps(self.name, (voltage, current), (STEP_V, rating.current_step))
+        least = max(LEAST_OVER_OFF_CURRENT * self.settings.off_current_A, rating.current_step)
         self._line.supply(voltage, current, (LEAST_V, least))

@@ -66,10 +66,10 @@ class Bk1688bEmulator(SupplyEnd):
         return True
 
     def _amperes(self, digits: str) -> float:
-        return int(digits) * self.rating.step_A
+        return int(digits) * self.rating.current_step
 
     def _level_digits(self, volts: float, amperes: float) -> str:
-        return f"{round(volts / STEP_V):03d}{round(amperes / self.rating.step_A):03d}"
+        return f"{round(volts / STEP_V):03d}{round(amperes / self.rating.current_step):03d}"
 
     def _settings(self) -> str:
         return self._level_digits(self.set_volts, self.set_amperes)

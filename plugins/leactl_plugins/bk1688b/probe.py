@@ -8,7 +8,7 @@ from leactl.driver.probe import LineProbe, Seen, Sighting
 from leactl.driver.serial_port import SerialPort
 from leactl_plugins.bk1688b import replies
 from leactl_plugins.bk1688b.replies import OK, LevelCounts
-from leactl_plugins.bk1688b.settings import RATINGS, STEP_V, is_near
+from leactl_plugins.bk1688b.settings import RATINGS, STEP_V, can_be_model
 
 LIMITS = Query("GMAX", replies.parse_last_line(2, replies.parse_levels), last=OK)
 SETTINGS = LIMITS._replace(text="GETS")
@@ -31,7 +31,7 @@ class Bk1688bProbe(LineProbe):
                 yield Sighting(None, Identity(f"{MAKER}, model unknown"), {}, detail)
             return
         detail = f"limits of {limits.volts * STEP_V:.1f} V and {limits.amperes} steps of current"
-        models = [model for model, rating in RATINGS.items() if is_near(limits, rating)]
+        models = [model for model, rating in RATINGS.items() if can_be_model(limits, rating)]
         settings: dict[str, Any] | None = {"model": models[0]} if len(models) == 1 else None
         model = models[0] if settings else "unknown to this driver"
         yield Sighting(None, Identity(f"{MAKER} {model}"), settings, detail)

@@ -17,7 +17,7 @@ class SupplyRating(NamedTuple):
 
     voltage: float  # V
     current: float  # A
-    step_A: float  # noqa: N815 (a unit keeps its letter)
+    current_step: float  # A
 
 
 RATINGS: Final = {
@@ -28,39 +28,44 @@ RATINGS: Final = {
 HIGHEST_RATING: Final = (
     max(rating.voltage for rating in RATINGS.values()),
     max(rating.current for rating in RATINGS.values()),
-)
+)  # V, A
 
 
-def is_near(most: LevelCounts, rating: SupplyRating) -> bool:
-    """Whether a supply that reports these limits can be of the model with this rating."""
-    volts, amperes = most.volts * STEP_V, most.amperes * rating.step_A
+def can_be_model(reported_limits: LevelCounts, rating: SupplyRating) -> bool:
+    """Return whether a supply that reports these limits can be of the model with this rating."""
+    volts, amperes = reported_limits.volts * STEP_V, reported_limits.amperes * rating.current_step
     return abs(volts / rating.voltage - 1) < RATING_TOLERANCE and abs(amperes / rating.current - 1) < RATING_TOLERANCE
 
 
-Least = Annotated[float, Field(strict=True, gt=0, le=1, allow_inf_nan=False)]
+OffThreshold = Annotated[float, Field(strict=True, gt=0, le=1, allow_inf_nan=False)]
 
 
 class Bk1688bSettings(DriverSettings):
-    """One supply at the end of a serial line."""
+    """Settings of one supply on a serial line.
+
+    The output counts as off up to both `off_` values. `period_s` is the time between readings, `answer_s` the longest
+    time for a reply.
+    """
 
     model: Literal["1685B", "1687B", "1688B"]
     feeds: Literal["leads", "bus"]  # two leads of the role's motor, or the drives' DC link
+    # at least 2 V: a switched-off output is set to up to 1.9 V
     voltage_limit_V: Annotated[float, Field(strict=True, ge=2 * LEAST_V, le=60, allow_inf_nan=False)]  # noqa: N815 (a unit keeps its letter)
     current_limit_A: Annotated[float, Field(strict=True, gt=0, le=20, allow_inf_nan=False)]  # noqa: N815
-    off_voltage_V: Least = 0.5  # noqa: N815
-    off_current_A: Least = 0.05  # noqa: N815
+    off_voltage_V: OffThreshold = 0.5  # noqa: N815
+    off_current_A: OffThreshold = 0.05  # noqa: N815
     period_s: Annotated[float, Field(strict=True, ge=0.02, le=60, allow_inf_nan=False)] = 0.2
     answer_s: Annotated[float, Field(strict=True, ge=0.05, le=5, allow_inf_nan=False)] = 0.3
 
     @model_validator(mode="after")
-    def _within_the_model(self) -> "Bk1688bSettings":
+    def _limits_within_rating(self) -> "Bk1688bSettings":
         rating = self.rating
         for name, value, most, unit in (
             ("voltage_limit_V", self.voltage_limit_V, rating.voltage, "V"),
             ("current_limit_A", self.current_limit_A, rating.current, "A"),
         ):
             if value > most:
-                raise ValueError(f"{name} {value:g} {unit}: a {self.model} is good for {most:g} {unit}")
+                raise ValueError(f"{name}: {value:g} {unit} is above the {most:g} {unit} of a {self.model}; lower it")
         return self
 
     @property
