@@ -758,12 +758,12 @@ def test_an_upload_is_read_as_the_manual_takes_it_apart():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "a recording of 0 characters where 20 and more"),
+        ("", "a recording of 0 characters; at least 20 hexadecimal digits were expected"),
         ("0008000100013f8000000001000", "of 0.875 items where its head says 1"),
         ("0008000100013f80000000010000ff", "of 1.25 items where its head says 1"),
         ("0006000100013f80000000010000", "items of 6 digits; 4 or 8 were"),
         ("0008000100017f80000000010000", "with the factor inf and a gap of 1"),
-        ("000800010001zz80000000010000", "of 28 characters where 20 and more hexadecimal"),
+        ("000800010001zz80000000010000", "a recording of 28 characters; at least 20 hexadecimal digits were expected"),
     ],
 )
 def test_an_upload_that_is_not_whole_is_refused(text, message):
@@ -788,7 +788,10 @@ def test_the_recorder_is_uploaded_signal_by_signal(bench):
     bench.engage(Mode.CURRENT)
     bench.drive.command(3.0)
     bench.cycle()
-    with pytest.raises(DeviceError, match=r"^drive: its recorder holds nothing \(RR is -1\); 0 was expected"):
+    with pytest.raises(
+        DeviceError,
+        match=r"^drive: its recorder holds nothing \(RR is -1\); a complete recording, RR of 0, was expected",
+    ):
         bench.drive.recorded()
     bench.talk(b"RR=2;")
     assert bench.drive.safe_state(1.0).safe
