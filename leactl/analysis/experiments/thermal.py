@@ -15,7 +15,7 @@ import numpy as np
 
 from leactl.analysis.estimate import Covariance, Noted, Result, joined
 from leactl.analysis.heating.estimates import (
-    LEAST_CONSTANTS_SEEN,
+    FEWEST_TIME_CONSTANTS,
     REPORTED_STDS,
     STEADY_STATE_RESULTS,
     camera_results,
@@ -149,10 +149,10 @@ def analyze(
         fit, spread, line, instruments, float(np.mean(ambients)) if ambients else REFERENCE_TEMPERATURE
     )
 
-    constants_seen = slow_constants_seen(fit)
+    time_constants = slow_constants_seen(fit)
     estimates = joined(
         [
-            network_results(parameters, constants_seen),
+            network_results(parameters, time_constants),
             resistance_results(parameters, line, phase_to_line_ratio.value),
             residual_results(fit, spread),
             steadiness(fit.records),
@@ -168,7 +168,7 @@ def analyze(
         ["line_current"],
     )
     currents = current_capability(parameters, phase_to_line_ratio.value, limit, ambient)
-    if constants_seen < LEAST_CONSTANTS_SEEN:
+    if time_constants < FEWEST_TIME_CONSTANTS:
         currents = [without_value(current) if current.name in STEADY_STATE_RESULTS else current for current in currents]
     notes += remarks(parameters, fit.records, instruments)
     notes.append(

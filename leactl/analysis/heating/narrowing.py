@@ -20,7 +20,7 @@ from leactl.model.motor import Motor
 from leactl.model.motor_schema import Thermal, Tolerances
 from leactl.runfile.read.reader import Run
 
-TOLERANCE_STDS = 3.0  # of a fit, in a tolerance
+TOLERANCE_STDS = 3.0  # standard deviations of a fit that its tolerance covers
 FINEST_TOLERANCE = 0.001  # tolerances are rounded up to multiples of it
 SIGNIFICANT_DIGITS = 6  # of a value in the motor file
 NETWORK_PARAMETERS = tuple(Thermal.model_fields)
@@ -41,14 +41,14 @@ def narrow_tolerances(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> 
 
     Parameters
     ----------
-    motor : the file before, whose tolerances must include the actuator.
+    motor : the motor file to narrow; its tolerances must include the actuator.
     runs : heated runs of one actuator, as `leactl.analysis.experiments.thermal` takes them.
 
     Raises
     ------
     NotIdentifiable : the runs do not determine every parameter of network and resistance.
     AcceptanceFailed : the actuator is outside of the motor file's tolerances.
-    InputError : a motor file without tolerances, a winding that is no wye, or runs that cannot be used.
+    InputError : the motor file has no tolerances, its winding is no wye, or the runs cannot be used.
     """
     if motor.tolerances is None:
         raise InputError(f"motor '{motor.name}': no `tolerances:` to narrow")
@@ -69,13 +69,15 @@ def narrow_tolerances(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> 
             f"{result.runs[-1]}: shows no {', '.join(missing)}; heat and cool for longer: {'; '.join(result.notes)}"
         )
     _refuse_outside(motor, motor.tolerances, values, accuracy)
-    supply = motor.tolerances.current if motor.tolerances.line_current is None else motor.tolerances.line_current
+    supply_tolerance = (
+        motor.tolerances.current if motor.tolerances.line_current is None else motor.tolerances.line_current
+    )
     tolerances = motor.tolerances.model_copy(
         update=_tolerances(result, values, accuracy)
         | {
             "line_current": accuracy.current_repeats,
             # worst case: the other meter reads low and the supply of the runs read high
-            "current": _rounded_up((1.0 + motor.tolerances.current) / (1.0 - supply) - 1.0),
+            "current": _rounded_up((1.0 + motor.tolerances.current) / (1.0 - supply_tolerance) - 1.0),
             "temperature_rise": _rounded_up(_camera_error(accuracy, runs) + _misfit(values, runs)),
         }
     )
@@ -92,34 +94,34 @@ def narrow_tolerances(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> 
 def _tolerances(result: Result, values: dict[str, float], accuracy: Accuracy) -> dict[str, float]:
     """Return tolerances of network and resistance, from a fit with half of `camera_offset` as standard uncertainty.
 
-    An offset of the camera shifts the temperature at which the resistance has its value, and leaves its slope in ohm/K.
-    So the tolerance of the resistance takes the whole offset in place of its standard uncertainty, and the tolerance of
-    the coefficient leaves the offset out.
+    An offset of the camera shifts the temperature at which the resistance has its value, and does not change its slope
+    in ohm/K. So the tolerance of the resistance takes the whole offset in place of its standard uncertainty, and the
+    tolerance of the coefficient leaves the offset out.
     """
     names, covariance = result.covariances[0].names, np.array(result.covariances[0].values)
     relative_std = {name: math.sqrt(covariance[index, index]) / values[name] for index, name in enumerate(names)}
-    offset = values["resistance_coefficient"] * accuracy.camera_offset  # of the resistance, relative
-    offset_std = 0.5 * offset
+    resistance_offset = values["resistance_coefficient"] * accuracy.camera_offset  # relative
+    offset_std = 0.5 * resistance_offset
 
     def without_offset(name: str) -> float:
         return TOLERANCE_STDS * math.sqrt(max(relative_std[name] ** 2 - offset_std**2, 0.0))
 
     return {name: _rounded_up(TOLERANCE_STDS * relative_std[name]) for name in NETWORK_PARAMETERS} | {
         # the relative tolerance of two phases in series is that of one phase
-        "phase_resistance": _rounded_up(without_offset("line_resistance") + offset),
+        "phase_resistance": _rounded_up(without_offset("line_resistance") + resistance_offset),
         "resistance_coefficient": _rounded_up(without_offset("resistance_coefficient")),
     }
 
 
 def _camera_error(accuracy: Accuracy, runs: Sequence[Run]) -> float:
-    """Return the relative error of a rise by the camera: data sheets state kelvins or a share, whichever is more."""
+    """Return the relative error of a rise by the camera: data sheets state kelvins or a share, whichever is larger."""
     return max(accuracy.camera_gain, accuracy.camera_offset / _rise(runs))
 
 
 def _misfit(values: dict[str, float], runs: Sequence[Run]) -> float:
     """Return the misfit of the network beyond noise, times `TOLERANCE_STDS`, as a share of the largest rise.
 
-    Where the noise is not known, all residuals count as misfit.
+    If the noise is not known, all residuals count as misfit.
     """
     over_noise = values["rmse_over_noise"]
     misfit = 1.0 if not math.isfinite(over_noise) else math.sqrt(max(1.0 - 1.0 / over_noise**2, 0.0))
@@ -127,25 +129,25 @@ def _misfit(values: dict[str, float], runs: Sequence[Run]) -> float:
 
 
 def _rise(runs: Sequence[Run]) -> float:
-    """Return the largest rise [K] of a winding temperature."""
+    """Return the largest rise [K] of any winding temperature within a run."""
     readings = [channel.values for run in runs for channel in run.channels("winding_temperature")]
     return max(float(np.nanmax(reading) - np.nanmin(reading)) for reading in readings)
 
 
 def _refuse_outside(motor: Motor, tolerances: Tolerances, values: dict[str, float], accuracy: Accuracy) -> None:
-    """Raise AcceptanceFailed if a value is outside of the file's tolerances, widened by the instruments' errors."""
+    """Raise AcceptanceFailed if a fitted value is outside of the tolerances, widened by the instruments' errors."""
     nominal = motor.thermal.model_dump() | {
         "phase_resistance": motor.resistance(REFERENCE_TEMPERATURE),
         "resistance_coefficient": motor.resistance_coefficient
         * motor.phase_resistance
         / motor.resistance(REFERENCE_TEMPERATURE),
     }
-    current = max(tolerances.current, tolerances.line_current or 0.0)
+    current_tolerance = max(tolerances.current, tolerances.line_current or 0.0)
     faults = []
     for name in (*NETWORK_PARAMETERS, *WINDING_PARAMETERS):
         # the heat is current times voltage, and the voltage may have as large an error as the current
-        within = getattr(tolerances, name) + accuracy.camera_gain + 2.0 * current
-        low, high = (nominal[name] * (1.0 + sign * within) for sign in (-1.0, 1.0))
+        tolerance = getattr(tolerances, name) + accuracy.camera_gain + 2.0 * current_tolerance
+        low, high = (nominal[name] * (1.0 + sign * tolerance) for sign in (-1.0, 1.0))
         if not low <= values[name] <= high:
             faults.append(f"{name} {values[name]:.4g}, {low:.4g} to {high:.4g} was expected")
     if faults:
@@ -156,8 +158,10 @@ def _refuse_outside(motor: Motor, tolerances: Tolerances, values: dict[str, floa
 
 
 def _to_significant_digits(value: float) -> float:
+    """Return a value rounded to `SIGNIFICANT_DIGITS`."""
     return float(f"{value:.{SIGNIFICANT_DIGITS}g}")
 
 
 def _rounded_up(tolerance: float) -> float:
+    """Return a tolerance rounded up to a multiple of `FINEST_TOLERANCE`, at least one multiple."""
     return max(FINEST_TOLERANCE, round(math.ceil(tolerance / FINEST_TOLERANCE) * FINEST_TOLERANCE, 6))

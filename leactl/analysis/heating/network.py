@@ -18,9 +18,9 @@ from leactl.errors import NotIdentifiable
 from leactl.model.thermal_network import Conductances, Drive, remaining_rise, temperatures_and_rates_at
 
 NETWORK_UNKNOWNS = 5  # unknowns that all records share
-DIFFERENCE_STEP = 1e-4  # of central differences, whose relative error is its square
+DIFFERENCE_STEP = 1e-4  # of a logarithm; the relative error of central differences is about its square
 FIT_TOLERANCE = 1e-12  # relative, of the least-squares solver
-MOST_LOG_SHIFT = 12.0  # of a logarithm from its starting value
+LARGEST_LOG_SHIFT = 12.0  # change of a logarithm from its starting value: a factor of 160 000
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,15 @@ class Unknowns:
     """Settings that decide which unknowns each record adds to the network's five."""
 
     offset_std: float  # K, prior of the camera's offset from the ambient sensor; zero: no offset is fitted
-    lag: float | None  # s, the known lag of the camera's clock; None: it is fitted
+    lag: float | None  # s, the known lag of the camera's clock; None: the lag of each record is fitted
 
     def names_of(self, record: HeatingRecord) -> tuple[str, ...]:
         """Return the names of the unknowns of one record."""
-        air = ("air",) if record.ambient is None else ("offset_winding", "offset_housing") if self.offset_std else ()
-        lag = ("lag",) if self.lag is None else ()
-        return ("winding_start", "housing_start", *air, *lag)
+        offset_names = (
+            ("air",) if record.ambient is None else ("offset_winding", "offset_housing") if self.offset_std else ()
+        )
+        lag_names = ("lag",) if self.lag is None else ()
+        return ("winding_start", "housing_start", *offset_names, *lag_names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +46,9 @@ class NetworkFit:
     point: Array  # all unknowns
     names: tuple[tuple[str, ...], ...]  # of the unknowns that each record adds after the network's five
     records: tuple[HeatingRecord, ...]
-    fitted: tuple[Array, ...]  # degC of each record, winding and housing, shape (2, frames)
-    columns: tuple[Array, ...]  # derivatives of the fitted temperatures, shape (2, frames, unknowns)
-    prior: Array  # weight of each unknown's prior, one over K^2 of noise
+    fitted_temperatures: tuple[Array, ...]  # degC, winding and housing of each record, shape (2, frames)
+    derivatives: tuple[Array, ...]  # of the fitted temperatures by the unknowns, shape (2, frames, unknowns)
+    prior_weights: Array  # variance of the residuals over that of each unknown's prior; zero without a prior
     lags: tuple[float, ...]  # s, of the camera's clock in each record
     rates: tuple[Array, ...]  # K/s, how fast the fitted temperatures change, shape (2, frames)
 
@@ -57,18 +59,21 @@ class NetworkFit:
 
     @property
     def residuals(self) -> list[Array]:
-        """Return measured less fitted temperatures [K] of each record, shape (2, frames), NaN for missing frames."""
-        return [camera_temperatures(record) - fit for record, fit in zip(self.records, self.fitted, strict=True)]
+        """Return measured minus fitted temperatures [K] of each record, shape (2, frames); NaN for missing frames."""
+        return [
+            camera_temperatures(record) - fit
+            for record, fit in zip(self.records, self.fitted_temperatures, strict=True)
+        ]
 
     def index_of(self, record_number: int, name: str) -> int | None:
-        """Return the index in `point` of an unknown of a record; None where the record has no unknown of this name."""
-        first_index = NETWORK_UNKNOWNS + sum(len(names) for names in self.names[:record_number])
-        names = self.names[record_number]
-        return first_index + names.index(name) if name in names else None
+        """Return the index in `point` of an unknown of a record; None if the record has no unknown of this name."""
+        first_index = NETWORK_UNKNOWNS + sum(len(record_names) for record_names in self.names[:record_number])
+        record_names = self.names[record_number]
+        return first_index + record_names.index(name) if name in record_names else None
 
 
 def network_of(point: Array) -> Conductances:
-    """Return the network that the first five unknowns describe."""
+    """Return the network that the first five unknowns describe: a conductance [W/K], then four logarithms."""
     wh, ha, cw, ch = np.exp(point[1:NETWORK_UNKNOWNS])
     return Conductances(float(point[0]), 1.0 / float(wh), 1.0 / float(ha), float(cw), float(ch))
 
@@ -92,40 +97,45 @@ def fit_network(records: Sequence[HeatingRecord], unknowns: Unknowns, error_pref
     starts = [
         value for record, lag in zip(thin_records, lags, strict=True) for value in _start_values(record, unknowns, lag)
     ]
-    solutions = [
+    optima = [
         _optimum(thin_records, unknowns, np.array([*guess, *starts]), 1.0) for guess in starting_points(thin_records)
     ]
-    best = min((solution for solution in solutions if solution is not None), key=lambda item: item[1], default=None)
-    noise = _noise_of(covered_records, unknowns, best[0]) if best is not None else math.nan
-    solution = _optimum(covered_records, unknowns, best[0], noise) if best is not None else None
-    if solution is None:
+    best = min((optimum for optimum in optima if optimum is not None), key=lambda optimum: optimum[1], default=None)
+    noise = _residual_rms(covered_records, unknowns, best[0]) if best is not None else math.nan
+    optimum = _optimum(covered_records, unknowns, best[0], noise) if best is not None else None
+    if optimum is None:
         raise NotIdentifiable(f"{error_prefix}: no network of winding and housing follows these temperatures")
-    point = solution[0]
-    fitted = tuple(
+    point, _ = optimum
+    fitted_temperatures = tuple(
         _fitted_temperatures(record, unknowns, *values)
         for record, values in _values_by_record(covered_records, unknowns, point)
     )
-    columns = tuple(_columns(covered_records, unknowns, point))
+    derivatives = tuple(_derivatives_by_record(covered_records, unknowns, point))
     names = tuple(unknowns.names_of(record) for record in covered_records)
-    by_record = _values_by_record(covered_records, unknowns, point)
-    fitted_lags = tuple(record_unknowns.get("lag", unknowns.lag or 0.0) for _, (_, record_unknowns) in by_record)
-    rates = tuple(_rate(record, unknowns, *values) for record, values in by_record)
-    weight = prior_weights(covered_records, unknowns, noise)
-    return NetworkFit(point, names, tuple(covered_records), fitted, columns, weight, fitted_lags, rates)
+    values_by_record = _values_by_record(covered_records, unknowns, point)
+    fitted_lags = tuple(record_unknowns.get("lag", unknowns.lag or 0.0) for _, (_, record_unknowns) in values_by_record)
+    rates = tuple(_rate(record, unknowns, *values) for record, values in values_by_record)
+    weights = prior_weights(covered_records, unknowns, noise)
+    return NetworkFit(
+        point, names, tuple(covered_records), fitted_temperatures, derivatives, weights, fitted_lags, rates
+    )
 
 
 def residual_vector(records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array, noise: float) -> Array:
-    """Return the residuals that least squares minimises [K]: those of all valid frames, then the offsets' priors."""
-    by_record = [
+    """Return the residuals that least squares minimises [K]: those of valid frames, then those of offset priors."""
+    frame_residuals = [
         _of_valid_frames(camera_temperatures(record) - _fitted_temperatures(record, unknowns, *values), record)
         for record, values in _values_by_record(records, unknowns, point)
     ]
-    weight = prior_weights(records, unknowns, noise)
-    return np.concatenate([*by_record, -(np.sqrt(weight) * point)[weight > 0.0]])
+    weights = prior_weights(records, unknowns, noise)
+    return np.concatenate([*frame_residuals, -(np.sqrt(weights) * point)[weights > 0.0]])
 
 
 def prior_weights(records: Sequence[HeatingRecord], unknowns: Unknowns, noise: float) -> Array:
-    """Return the weight of each unknown's prior, shape (unknowns,): only offsets have a prior, with mean zero."""
+    """Return the weight of each unknown's prior, shape (unknowns,).
+
+    Only offsets have a prior, with mean zero; `noise` is the root mean square of the residuals [K].
+    """
     names = [name for record in records for name in unknowns.names_of(record)]
     weight = (noise / unknowns.offset_std) ** 2 if unknowns.offset_std else 0.0
     return np.array([0.0] * NETWORK_UNKNOWNS + [weight if name.startswith("offset") else 0.0 for name in names])
@@ -136,30 +146,32 @@ def _optimum(
 ) -> tuple[Array, float] | None:
     """Return the optimum that least squares reaches from a starting point, and its sum of squares.
 
-    None where there are no more residuals than unknowns, or the optimum is not finite.
+    Return None if there are no more residuals than unknowns, or the optimum is not finite.
     """
     from scipy.optimize import least_squares
 
-    weight = prior_weights(records, unknowns, noise)
-    prior_rows = np.diag(np.sqrt(weight))[weight > 0.0]
+    weights = prior_weights(records, unknowns, noise)
+    prior_rows = np.diag(np.sqrt(weights))[weights > 0.0]
 
     def jacobian_at(point: Array) -> Array:
-        by_record = [
-            _of_valid_frames(columns, record)
-            for columns, record in zip(_columns(records, unknowns, point), records, strict=True)
+        frame_derivatives = [
+            _of_valid_frames(record_derivatives, record)
+            for record_derivatives, record in zip(
+                _derivatives_by_record(records, unknowns, point), records, strict=True
+            )
         ]
-        return -np.concatenate([*by_record, prior_rows])
+        return -np.concatenate([*frame_derivatives, prior_rows])
 
     def residuals_at(point: Array) -> Array:
         if (
-            np.max(np.abs(point[1:NETWORK_UNKNOWNS] - start[1:NETWORK_UNKNOWNS])) > MOST_LOG_SHIFT
+            np.max(np.abs(point[1:NETWORK_UNKNOWNS] - start[1:NETWORK_UNKNOWNS])) > LARGEST_LOG_SHIFT
             or point[0] < -start[0]
         ):
-            return np.full(size, 1e3)
+            return np.full(residual_count, 1e3)  # K, so large that the solver turns back
         return residual_vector(records, unknowns, point, noise)
 
-    size = len(residual_vector(records, unknowns, start, noise))
-    if size <= len(start):
+    residual_count = len(residual_vector(records, unknowns, start, noise))
+    if residual_count <= len(start):
         return None
     solution = least_squares(
         residuals_at,
@@ -187,13 +199,13 @@ def _values_by_record(
     records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array
 ) -> list[tuple[HeatingRecord, tuple[Conductances, dict[str, float]]]]:
     """Return each record with the network and with the values of the unknowns that the record adds, by name."""
-    network, by_record, start = network_of(point), [], NETWORK_UNKNOWNS
+    network, values_by_record, first_index = network_of(point), [], NETWORK_UNKNOWNS
     for record in records:
         names = unknowns.names_of(record)
-        values = dict(zip(names, point[start : start + len(names)].tolist(), strict=True))
-        by_record.append((record, (network, values)))
-        start += len(names)
-    return by_record
+        record_unknowns = dict(zip(names, point[first_index : first_index + len(names)].tolist(), strict=True))
+        values_by_record.append((record, (network, record_unknowns)))
+        first_index += len(names)
+    return values_by_record
 
 
 def _fitted_temperatures(
@@ -205,7 +217,7 @@ def _fitted_temperatures(
 
 
 def _camera_offset(record_unknowns: dict[str, float]) -> Array:
-    """Return the offsets of winding and housing, with the air's temperature where it is fitted, shape (2, 1)."""
+    """Return the offsets of winding and housing [K], plus a fitted temperature of the air [degC], shape (2, 1)."""
     air = record_unknowns.get("air", 0.0)
     return np.array(
         [[record_unknowns.get("offset_winding", 0.0) + air], [record_unknowns.get("offset_housing", 0.0) + air]]
@@ -215,14 +227,17 @@ def _camera_offset(record_unknowns: dict[str, float]) -> Array:
 def _forced_response(
     record: HeatingRecord, unknowns: Unknowns, network: Conductances, record_unknowns: dict[str, float]
 ) -> tuple[Array, Array]:
-    """Return the temperatures that heat and ambient cause at the frames, and their rates, shape (2, frames) each."""
+    """Return the temperatures [degC] that heat and ambient cause at the frames, and their rates [K/s].
+
+    Both have shape (2, frames).
+    """
     return temperatures_and_rates_at(network, drive_of(record), _stamps(record, unknowns, record_unknowns))
 
 
 def _decay_of_start(
     record: HeatingRecord, unknowns: Unknowns, network: Conductances, record_unknowns: dict[str, float]
 ) -> Array:
-    """Return what remains of the starting temperatures at the frames, shape (2, frames)."""
+    """Return what remains of the starting rises at the frames [K], shape (2, frames)."""
     elapsed = _stamps(record, unknowns, record_unknowns) - record.supply.time[0]
     start = np.array([record_unknowns["winding_start"], record_unknowns["housing_start"]])
     return np.asarray(np.einsum("nst,s->nt", remaining_rise(network, elapsed), start), np.float64)
@@ -236,28 +251,35 @@ def _stamps(record: HeatingRecord, unknowns: Unknowns, record_unknowns: dict[str
 def drive_of(record: HeatingRecord) -> Drive:
     """Return heat and ambient temperature that drive the network.
 
-    Readings that are means hold over their interval, others are joined by straight lines. A current that is switched
-    between two readings steps halfway; the lag of the clock absorbs the remaining error.
+    A reading that is a mean holds over its interval; other readings are joined by straight lines. A current that is
+    switched between two readings steps halfway; the lag of the clock absorbs the remaining error.
     """
     supply, heat = record.supply, record.supply.heat
-    air = np.zeros(len(heat)) if record.ambient is None else record.ambient
+    ambient_readings = np.zeros(len(heat)) if record.ambient is None else record.ambient
     if supply.means:
-        return Drive(supply.time, heat[1:], heat[1:], air)
+        return Drive(supply.time, heat[1:], heat[1:], ambient_readings)
     switches = np.flatnonzero(np.diff(supply.on))
     time, ambient = (
         np.insert(values, switches + 1, 0.5 * (values[switches] + values[switches + 1]))
-        for values in (supply.time, air)
+        for values in (supply.time, ambient_readings)
     )
-    before, after = np.insert(heat, switches + 1, heat[switches]), np.insert(heat, switches + 1, heat[switches + 1])
-    return Drive(time, after[:-1], before[1:], ambient)
+    ending_heat, starting_heat = (
+        np.insert(heat, switches + 1, heat[switches]),
+        np.insert(heat, switches + 1, heat[switches + 1]),
+    )
+    return Drive(time, starting_heat[:-1], ending_heat[1:], ambient)
 
 
-def _columns(records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array) -> list[Array]:
-    """Return the derivatives of each record's fitted temperatures, shape (2, frames, unknowns)."""
-    columns, first, by_record = [], NETWORK_UNKNOWNS, _values_by_record(records, unknowns, point)
+def _derivatives_by_record(records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array) -> list[Array]:
+    """Return the derivatives of each record's fitted temperatures by the unknowns, shape (2, frames, unknowns)."""
+    derivatives_by_record, first_column, values_by_record = (
+        [],
+        NETWORK_UNKNOWNS,
+        _values_by_record(records, unknowns, point),
+    )
     steps = np.full(NETWORK_UNKNOWNS, DIFFERENCE_STEP)
     steps[0] *= 1.0 / math.exp(point[2])  # the step of a conductance is relative to that from housing to air
-    for record, (network, record_unknowns) in by_record:
+    for record, (network, record_unknowns) in values_by_record:
         derivatives = np.zeros((2, len(record.time), len(point)))
         for index, step in enumerate(steps):
             shifted_points = [point + sign * step * np.eye(len(point))[index] for sign in (1.0, -1.0)]
@@ -267,21 +289,21 @@ def _columns(records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array)
             )
             derivatives[:, :, index] = (high - low) / (2.0 * step)
         elapsed = _stamps(record, unknowns, record_unknowns) - record.supply.time[0]
-        start, names = remaining_rise(network, elapsed), unknowns.names_of(record)
+        remaining_shares, names = remaining_rise(network, elapsed), unknowns.names_of(record)
         derivative_of = {
-            "winding_start": start[:, 0],
-            "housing_start": start[:, 1],
+            "winding_start": remaining_shares[:, 0],
+            "housing_start": remaining_shares[:, 1],
             "air": np.ones((2, 1)),
             "offset_winding": np.array([[1.0], [0.0]]),
             "offset_housing": np.array([[0.0], [1.0]]),
         }
-        for column, name in enumerate(names, start=first):
+        for column, name in enumerate(names, start=first_column):
             derivatives[:, :, column] = (
                 -_rate(record, unknowns, network, record_unknowns) if name == "lag" else derivative_of[name]
             )
-        first += len(names)
-        columns.append(derivatives)
-    return columns
+        first_column += len(names)
+        derivatives_by_record.append(derivatives)
+    return derivatives_by_record
 
 
 def _rate(record: HeatingRecord, unknowns: Unknowns, network: Conductances, record_unknowns: dict[str, float]) -> Array:
@@ -292,12 +314,12 @@ def _rate(record: HeatingRecord, unknowns: Unknowns, network: Conductances, reco
 
 
 def _of_valid_frames(values: Array, record: HeatingRecord) -> Array:
-    """Return the values of the frames that have a temperature, those of the winding first."""
+    """Return the values at the frames that have a temperature, those of the winding first."""
     valid = np.isfinite(camera_temperatures(record))
     return np.concatenate([values[node][valid[node]] for node in (0, 1)])
 
 
-def _noise_of(records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array) -> float:
+def _residual_rms(records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array) -> float:
     """Return the root mean square of the residuals [K], without priors."""
     residuals = residual_vector(records, unknowns, point, 0.0)
-    return math.sqrt(max(float(np.mean(residuals**2)), 1e-18))
+    return math.sqrt(max(float(np.mean(residuals**2)), 1e-18))  # above zero: else the priors would have no weight

@@ -31,8 +31,8 @@ NAMES = (
 # indices in `FittedParameters.point`
 LINE_RESISTANCE, RESISTANCE_COEFFICIENT = NAMES.index("line_resistance"), NAMES.index("resistance_coefficient")
 UNITS = ("K/W", "K/W", "K/W", "J/K", "J/K", "ohm", "1/K")
-NOT_IDENTIFIABLE_STD = 0.5  # relative standard uncertainty, from which a result counts as not identifiable
-RELATIVE_STEP = 1e-4  # of central differences
+NOT_IDENTIFIABLE_STD = 0.5  # relative standard uncertainty from which a result counts as not identifiable
+RELATIVE_STEP = 1e-4  # of central differences, over the parameter
 INFORMATION_FLOOR = 1e-15  # added to the scaled information matrix, so that it can be inverted
 
 
@@ -75,22 +75,23 @@ class FittedParameters:
         wa, wh, ha, cw, ch = self.point[:NETWORK_UNKNOWNS].tolist()
         return Conductances(max(wa, 0.0), 1.0 / wh, 1.0 / ha, cw, ch)
 
-    def moved(self, step: Array) -> "FittedParameters":
-        """Return the parameters at another point with the same uncertainty."""
+    def shifted(self, step: Array) -> "FittedParameters":
+        """Return the parameters at a point that is shifted by `step`, shape (7,), with the same uncertainty."""
         return FittedParameters(self.point + step, self.sources)
 
     def estimate(self, name: str, units: str, figure: Callable[["FittedParameters"], float]) -> Estimate:
-        """Estimate a positive figure that follows from the parameters; NaN where its relative uncertainty is over 50 %.
+        """Estimate a positive figure that follows from the parameters.
 
-        The interval is symmetric in the figure's logarithm.
+        NaN if the figure is not positive or its standard uncertainty is half of it or more. The interval is symmetric
+        in the figure's logarithm.
         """
         value, slopes = figure(self), np.zeros(len(self.point))
         steps = RELATIVE_STEP * self.point
-        steps[0] = RELATIVE_STEP / self.point[2]
+        steps[0] = RELATIVE_STEP / self.point[2]  # relative to housing to ambient: its own conductance may be zero
         for index, step in enumerate(steps):
             shift = np.zeros(len(self.point))
             shift[index] = step
-            slopes[index] = (figure(self.moved(shift)) - figure(self.moved(-shift))) / (2.0 * step)
+            slopes[index] = (figure(self.shifted(shift)) - figure(self.shifted(-shift))) / (2.0 * step)
         variances = [float(slopes @ source.covariance @ slopes) for source in self.sources]
         std = math.sqrt(max(sum(variances), 0.0))
         if not (value > 0.0 and std < NOT_IDENTIFIABLE_STD * value):
@@ -101,7 +102,7 @@ class FittedParameters:
 
 
 def parallel_resistance(parameters: FittedParameters) -> float:
-    """Return Rwa in parallel with Rwh and Rha in series [K/W]: the steady rise of the winding for each watt."""
+    """Return Rwa in parallel with Rwh + Rha [K/W]: the steady rise of the winding for each watt."""
     network = parameters.network
     return 1.0 / (network.winding_ambient + 1.0 / (1.0 / network.winding_housing + 1.0 / network.housing_ambient))
 
@@ -119,9 +120,9 @@ def natural_covariance(parameters: FittedParameters) -> Array:
 
 
 def correlation_matrix(covariance: Array) -> Array:
-    """Return the correlation matrix of a covariance."""
-    spread = np.sqrt(np.diag(covariance))
-    return np.asarray(covariance / np.outer(spread, spread))
+    """Return the correlation matrix that belongs to a covariance, of the same shape."""
+    stds = np.sqrt(np.diag(covariance))
+    return np.asarray(covariance / np.outer(stds, stds))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,38 +135,43 @@ class Uncertainty:
 
 
 def uncertainty(fit: NetworkFit, offset_std: float) -> Uncertainty:
-    """Compute the covariance of the least-squares unknowns from noise and drift of the residuals, and the priors."""
+    """Return the covariance of the fit's unknowns by the noise and the drift of the residuals, and by the priors.
+
+    `offset_std` is the standard uncertainty of the camera's zero [K].
+    """
     valid_frames = [np.isfinite(residual) for residual in fit.residuals]
-    information = np.diag(fit.prior)
-    for columns, valid in zip(fit.columns, valid_frames, strict=True):
+    information = np.diag(fit.prior_weights)
+    for columns, valid in zip(fit.derivatives, valid_frames, strict=True):
         for node in (0, 1):
             valid_rows = columns[node][valid[node]]
             information = information + valid_rows.T @ valid_rows
     scale = 1.0 / np.sqrt(np.diag(information))
-    scaled = information * np.outer(scale, scale)
-    inverse = np.linalg.inv(scaled + INFORMATION_FLOOR * np.eye(len(scaled))) * np.outer(scale, scale)
+    scaled_information = information * np.outer(scale, scale)
+    inverse = np.linalg.inv(scaled_information + INFORMATION_FLOOR * np.eye(len(scaled_information))) * np.outer(
+        scale, scale
+    )
     times = [record.time for record in fit.records]
-    bins = binned_residuals(times, fit.residuals, fit.columns)
+    bins = binned_residuals(times, fit.residuals, fit.derivatives)
     scatter = scatter_of(bins)
     noise, drift = (
         sum(column) for column in zip(*(covariance_of_sums(record_bins, scatter) for record_bins in bins), strict=True)
     )
-    noise = noise + np.diag((fit.prior * offset_std) ** 2)
+    noise = noise + np.diag((fit.prior_weights * offset_std) ** 2)
     return Uncertainty(inverse @ noise @ inverse, inverse @ drift @ inverse, scatter)
 
 
 def thermal_parameters(
-    fit: NetworkFit, uncertainty: Uncertainty, line: ResistanceLine, instruments: Instruments, air: float
+    fit: NetworkFit, uncertainty: Uncertainty, line: ResistanceLine, instruments: Instruments, ambient: float
 ) -> FittedParameters:
-    """Combine network and resistance with their sources of uncertainty; `air` is the ambient temperature [degC]."""
+    """Combine network and resistance with their sources of uncertainty; `ambient` is in degC."""
     network = np.concatenate([fit.point[:1], np.exp(fit.point[1:NETWORK_UNKNOWNS])])
     jacobian = np.diag([1.0, *network[1:]])
     point = np.concatenate([network, [line.level, line.coefficient]])
 
     def embedded(covariance: Array, start: int) -> Array:
-        full = np.zeros((len(point), len(point)))
-        full[start : start + len(covariance), start : start + len(covariance)] = covariance
-        return full
+        all_covariance = np.zeros((len(point), len(point)))
+        all_covariance[start : start + len(covariance), start : start + len(covariance)] = covariance
+        return all_covariance
 
     sources = [
         UncertaintySource(
@@ -180,26 +186,28 @@ def thermal_parameters(
         UncertaintySource(embedded(line.timing, NETWORK_UNKNOWNS), math.inf),
     ]
     wa, wh, ha, cw, ch, level, coefficient = point
-    coefficient_times_distance = coefficient * (REFERENCE_TEMPERATURE - air)
-    scaled = np.array([-wa, wh, ha, -cw, -ch, 0.0, 0.0])
-    camera_slopes = scaled + np.array(
+    coefficient_times_distance = coefficient * (REFERENCE_TEMPERATURE - ambient)
+    rise_slopes = np.array([-wa, wh, ha, -cw, -ch, 0.0, 0.0])
+    camera_slopes = rise_slopes + np.array(
         [0.0] * 5 + [-level * coefficient_times_distance, coefficient * (coefficient_times_distance - 1.0)]
     )
     offset_slopes = np.array([0.0] * 5 + [-level * coefficient, coefficient**2])
-    voltage_slopes = -scaled + np.array([0.0] * 5 + [level, 0.0])
-    current_slopes = -scaled + np.array([0.0] * 5 + [-level, 0.0])
-    volts_std = math.hypot(instruments.voltage_gain, resolution_of(fit.records, "voltage"))
-    amperes_std = math.hypot(instruments.current_gain, resolution_of(fit.records, "current"))
-    stds = instruments.camera_gain, instruments.camera_offset, volts_std, amperes_std, noise_of_heat(fit.records)
-    for std, slopes in zip(stds, (camera_slopes, offset_slopes, voltage_slopes, current_slopes, scaled), strict=True):
+    voltage_slopes = -rise_slopes + np.array([0.0] * 5 + [level, 0.0])
+    current_slopes = -rise_slopes + np.array([0.0] * 5 + [-level, 0.0])
+    voltage_std = math.hypot(instruments.voltage_gain, resolution_of(fit.records, "voltage"))
+    current_std = math.hypot(instruments.current_gain, resolution_of(fit.records, "current"))
+    stds = instruments.camera_gain, instruments.camera_offset, voltage_std, current_std, noise_of_heat(fit.records)
+    for std, slopes in zip(
+        stds, (camera_slopes, offset_slopes, voltage_slopes, current_slopes, rise_slopes), strict=True
+    ):
         sources.append(UncertaintySource(std**2 * np.outer(slopes, slopes), math.inf))
     return FittedParameters(point, tuple(sources))
 
 
 def noise_of_heat(records: Sequence[HeatingRecord]) -> float:
-    """Return the relative standard uncertainty of the mean heat by the noise of the supply's readings."""
+    """Return the relative standard uncertainty that the noise of the supply's readings gives the mean heat."""
     heats = [record.supply.heat[is_on] for record, is_on in zip(records, switched_on_masks(records), strict=True)]
-    # within each record, since the heat jumps from one record to the next
+    # differences within each record only, since the heat jumps from one record to the next
     second_differences = np.concatenate([np.diff(heat, 2) for heat in heats])
     heat = np.concatenate(heats)
     noise = math.sqrt(float(np.mean(second_differences**2)) / 6.0)
@@ -209,19 +217,20 @@ def noise_of_heat(records: Sequence[HeatingRecord]) -> float:
 def resolution_of(records: Sequence[HeatingRecord], name: str) -> float:
     """Return the relative standard uncertainty of the supply's readings by their resolution.
 
-    It counts in records whose noise does not average the rounding out, and is the largest of these records, since
-    roundings at different levels need not cancel. For a record whose readings are all the same, the resolution is that
-    of another record; where no record shows a resolution, readings count as exact. `name` is `current` or `voltage`.
+    The resolution is the smallest step between readings of any record whose noise is below that step; if no record has
+    such steps, readings count as exact. It counts in records whose noise does not average the rounding out. The
+    largest of these records' uncertainties is returned, since roundings at different levels need not cancel. `name`
+    is `current` or `voltage`.
     """
     readings = readings_on(records, name)
     steps = [float(np.min(np.diff(np.unique(values)), initial=np.inf)) for values in readings]
     rounding_steps = [step for values, step in zip(readings, steps, strict=True) if np.std(values) < step < np.inf]
     resolution = min(rounding_steps, default=0.0)
-    unaveraged = [float(np.mean(values)) for values in readings if np.std(values) < resolution]
-    return resolution / math.sqrt(12.0) / min(unaveraged, default=np.inf)
+    unaveraged_levels = [float(np.mean(values)) for values in readings if np.std(values) < resolution]
+    return resolution / math.sqrt(12.0) / min(unaveraged_levels, default=np.inf)
 
 
 def readings_on(records: Sequence[HeatingRecord], name: str) -> list[Array]:
-    """Return the magnitudes of `current` or `voltage` with the current switched on, for each record that has any."""
+    """Return the magnitudes of `current` [A] or `voltage` [V] while the current is on, for each record that heats."""
     masks = zip(records, switched_on_masks(records), strict=True)
     return [np.abs(getattr(record.supply, name)[is_on]) for record, is_on in masks if is_on.any()]

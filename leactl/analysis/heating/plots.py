@@ -10,37 +10,37 @@ from leactl.analysis.heating.record import Array
 from leactl.analysis.heating.resistance import REFERENCE_TEMPERATURE, ResistanceLine
 from leactl.model.winding import resistance_ratio
 
-MOST_POINTS = 120  # of a curve
+MOST_POINTS = 120  # of a curve in a figure
 NODES = ("winding", "housing")
 
 
 def plots_of(fit: NetworkFit, line: ResistanceLine, currents: Sequence[Estimate]) -> tuple[Plot, ...]:
-    """Plot temperatures, residuals, resistance and currents."""
-    measured_points, lines, residual_points = [], [], []
-    for record, fitted, residual in zip(fit.records, fit.fitted, fit.residuals, strict=True):
+    """Return the plots of temperatures, residuals, resistance and currents of a fit."""
+    measured_points, fitted_lines, residual_points = [], [], []
+    for record, fitted_temperatures, residual in zip(fit.records, fit.fitted_temperatures, fit.residuals, strict=True):
         for node, name in enumerate(NODES):
             measured_points.append(thinned_curve(name, record.time, camera_temperatures(record)[node]))
-            lines.append(thinned_curve(f"{name}, fitted", record.time, fitted[node]))
+            fitted_lines.append(thinned_curve(f"{name}, fitted", record.time, fitted_temperatures[node]))
             residual_points.append(thinned_curve(name, record.time, residual[node]))
-    temperatures = np.array([line.temperature.min(), line.temperature.max()])
-    resistances = line.level * resistance_ratio(temperatures, line.coefficient, REFERENCE_TEMPERATURE)
+    end_temperatures = np.array([line.temperature.min(), line.temperature.max()])
+    end_resistances = line.level * resistance_ratio(end_temperatures, line.coefficient, REFERENCE_TEMPERATURE)
     order = np.argsort(line.temperature)
-    measurements = thinned_curve("voltage over current", line.temperature[order], line.resistance[order])
+    measured_resistance = thinned_curve("voltage over current", line.temperature[order], line.resistance[order])
     return (
-        Plot("time [s]", "temperature [degC]", merged_by_label(measured_points), tuple(lines)),
+        Plot("time [s]", "temperature [degC]", merged_by_label(measured_points), tuple(fitted_lines)),
         Plot("time [s]", "measured less fitted [K]", merged_by_label(residual_points), ()),
         Plot(
             "active windings [degC]",
             "resistance of two leads [ohm]",
-            (measurements,),
-            (Series("fit", tuple(temperatures.tolist()), tuple(resistances.tolist())),),
+            (measured_resistance,),
+            (Series("fit", tuple(end_temperatures.tolist()), tuple(end_resistances.tolist())),),
         ),
         plot_of_currents(currents),
     )
 
 
 def thinned_curve(label: str, x: Array, y: Array) -> Series:
-    """Return a curve of at most `MOST_POINTS` points, each the mean over an even part of the finite values, if any."""
+    """Return a curve of at most `MOST_POINTS` points, each the mean over an equal part of the finite points, if any."""
     finite = np.isfinite(y)
     x, y = x[finite], y[finite]
     if not len(x):
@@ -54,7 +54,7 @@ def thinned_curve(label: str, x: Array, y: Array) -> Series:
 
 
 def merged_by_label(series: Sequence[Series]) -> tuple[Series, ...]:
-    """Join the points of each label over all records."""
+    """Return one series for each label, with the points of all records."""
     labels = dict.fromkeys(curve.label for curve in series)
     return tuple(
         Series(
@@ -67,7 +67,7 @@ def merged_by_label(series: Sequence[Series]) -> tuple[Series, ...]:
 
 
 def plot_of_currents(currents: Sequence[Estimate]) -> Plot:
-    """Plot peak current over its duration, with both ends of the intervals as lines."""
+    """Return the plot of peak current over its duration, with both ends of the intervals as lines."""
     points, lines = [], []
     for label, motion in (("all phases alike", "s"), ("standing", "s_standing")):
         peaks = [peak for peak in currents if peak.name.startswith("peak")]
@@ -82,5 +82,5 @@ def plot_of_currents(currents: Sequence[Estimate]) -> Plot:
 
 
 def duration_of(peak: Estimate) -> float:
-    """Return how long a peak current is carried [s], from its name."""
+    """Return how long the actuator can carry a peak current [s], as its name says."""
     return float(peak.name.removeprefix("peak_current_").partition("s")[0])

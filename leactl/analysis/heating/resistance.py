@@ -3,8 +3,8 @@
 Paper, section "Thermal Dynamics": R = R0 (1 + alpha (T - T0)), voltage over current while the supply is on.
 The camera's noise in the temperatures would lower the slope of a plain fit; the mean of the temperatures before and
 after serves as instrumental variable, since its noise is independent. The clocks are aligned by the switching of the
-current, whose moment between two readings is not known. They may differ by half a reading; the error that this causes
-while the winding warms is part of the uncertainty.
+current, whose moment between two readings is not known. They may differ by half a reading interval; the error that
+this causes while the winding warms is part of the uncertainty.
 """
 
 import itertools
@@ -21,20 +21,21 @@ from leactl.errors import NotIdentifiable
 REFERENCE_TEMPERATURE = 25.0  # degC, of the resistance that is stated
 SETTLING_S = 30.0  # left out after the current is switched on: the surface that a camera sees lags the copper
 SWITCHING_S = 2.0  # left out before the current is switched off
-LEAST_BIN_S, FEWEST_READINGS_IN_BIN = 1.0, 3  # width of a bin, and readings and frames in it
+SHORTEST_BIN_S, FEWEST_READINGS_IN_BIN = 1.0, 3  # width of a bin, and readings as well as frames in it
 FEWEST_BINS = 30
-LEAST_ON_S = SETTLING_S + (FEWEST_BINS + 2) * LEAST_BIN_S + SWITCHING_S  # each bin needs a neighbour before and after
+# each bin needs a neighbour before and after
+LEAST_ON_S = SETTLING_S + (FEWEST_BINS + 2) * SHORTEST_BIN_S + SWITCHING_S
 
 
 @dataclass(frozen=True, eq=False)
 class ResistanceLine:
-    """R = level (1 + coefficient (T - 25 degC)) of two leads in series."""
+    """Fitted line R = level (1 + coefficient (T - 25 degC)) of the resistance between two leads."""
 
     level: float  # ohm
     coefficient: float  # 1/K
-    noise: Array  # covariance of both as (ohm, 1/K), from noise
-    drift: Array  # the same from drift
-    timing: Array  # the same from the unknown difference of the clocks
+    noise: Array  # covariance of level and coefficient by noise, shape (2, 2)
+    drift: Array  # their covariance by drift
+    timing: Array  # their covariance by the unknown difference of the clocks
     dof: float  # degrees of freedom of the drift's variance
     r_squared: float
     temperature: Array  # degC, of the points that the line is fitted to
@@ -93,33 +94,42 @@ def resistance_line(fit: NetworkFit, error_prefix: str) -> ResistanceLine:
 
 
 def means_while_on(record: HeatingRecord, lag: float, rates: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """Return means over bins while the current is on, shape (bins,) each.
+    """Return means over the bins in which the current is on throughout, shape (bins,) each.
 
     They are time [s], temperature of the active windings [degC], mean of the temperatures in the bins before and after
-    [degC], rate of the winding's temperature [K/s], and resistance [ohm].
+    [degC], rate of the winding's temperature [K/s], and resistance [ohm]. `lag` [s] is that of the camera's
+    clock, `rates` are those of the fitted temperatures [K/s], shape (2, frames).
     """
     supply, stamps = record.supply, record.time - lag
-    changes = np.flatnonzero(np.diff(supply.on.astype(np.int8), prepend=0, append=0))
-    steady = np.zeros(len(supply.time), bool)
-    for first, last in zip(changes[::2], changes[1::2] - 1, strict=True):
+    switch_indices = np.flatnonzero(np.diff(supply.on.astype(np.int8), prepend=0, append=0))
+    settled = np.zeros(len(supply.time), bool)
+    for first, last in zip(switch_indices[::2], switch_indices[1::2] - 1, strict=True):
         start = supply.time[first] + (SETTLING_S if first else 0.0)
-        steady |= (supply.time > start) & (supply.time < supply.time[last] - SWITCHING_S)
+        settled |= (supply.time > start) & (supply.time < supply.time[last] - SWITCHING_S)
     bin_width = max(
-        LEAST_BIN_S, FEWEST_READINGS_IN_BIN * float(max(np.median(np.diff(clock)) for clock in (supply.time, stamps)))
+        SHORTEST_BIN_S,
+        FEWEST_READINGS_IN_BIN * float(max(np.median(np.diff(clock)) for clock in (supply.time, stamps))),
     )
-    by_supply, by_camera = (((clock - supply.time[0]) / bin_width).astype(np.int64) for clock in (supply.time, stamps))
-    bins = int(by_supply[-1]) + 1
-    valid = np.isfinite(record.active) & (by_camera < bins)
-    bin_complete = np.bincount(by_supply[steady], minlength=bins) == np.bincount(by_supply, minlength=bins)
+    bin_of_reading, bin_of_frame = (
+        ((clock - supply.time[0]) / bin_width).astype(np.int64) for clock in (supply.time, stamps)
+    )
+    bin_count = int(bin_of_reading[-1]) + 1
+    valid_frames = np.isfinite(record.active) & (bin_of_frame < bin_count)
+    bin_complete = np.bincount(bin_of_reading[settled], minlength=bin_count) == np.bincount(
+        bin_of_reading, minlength=bin_count
+    )
     with np.errstate(invalid="ignore", divide="ignore"):
-        frames = np.bincount(by_camera[valid], minlength=bins)
+        frames_in_bin = np.bincount(bin_of_frame[valid_frames], minlength=bin_count)
         temperature, rate, frame_time = (
-            np.bincount(by_camera[valid], column[valid], bins) / frames for column in (record.active, rates[0], stamps)
+            np.bincount(bin_of_frame[valid_frames], column[valid_frames], bin_count) / frames_in_bin
+            for column in (record.active, rates[0], stamps)
         )
-        time = np.bincount(by_supply, supply.time, bins) / np.bincount(by_supply, minlength=bins)
+        time = np.bincount(bin_of_reading, supply.time, bin_count) / np.bincount(bin_of_reading, minlength=bin_count)
         temperature += rate * (time - frame_time)
-        resistance = np.bincount(by_supply, supply.voltage, bins) / np.bincount(by_supply, supply.current, bins)
-    neighbour_temperature = np.full(bins, np.nan)
+        resistance = np.bincount(bin_of_reading, supply.voltage, bin_count) / np.bincount(
+            bin_of_reading, supply.current, bin_count
+        )
+    neighbour_temperature = np.full(bin_count, np.nan)
     neighbour_temperature[1:-1] = 0.5 * (temperature[2:] + temperature[:-2])
     usable = bin_complete & np.isfinite(temperature) & np.isfinite(neighbour_temperature) & np.isfinite(resistance)
     return time[usable], temperature[usable], neighbour_temperature[usable], rate[usable], resistance[usable]

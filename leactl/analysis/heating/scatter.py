@@ -16,17 +16,17 @@ import numpy as np
 
 from leactl.analysis.heating.record import Array
 
-LEAST_BIN_S = 1.0  # width of a bin
-MOST_BINS = 4000  # bins of a record
-SHORTEST_DECAY_BINS, LONGEST_DECAY_SHARE = 2.0, 0.1  # of a drift: bins, and share of the length of all records
+SHORTEST_BIN_S = 1.0  # width of a bin
+MOST_BINS = 4000  # of a record; longer records have wider bins
+SHORTEST_DECAY_BINS, LONGEST_DECAY_SHARE = 2.0, 0.1  # decay of a drift in bins, and over the length of all records
 DECAY_STARTS_S = (10.0, 200.0)  # starting values of a drift's decay time
 
 
 @dataclass(frozen=True, eq=False)
 class BinnedResiduals:
-    """Residuals and derivatives of one record in bins of even length."""
+    """Residuals and derivatives of one record in bins of equal length."""
 
-    pace: float  # s
+    bin_width: float  # s
     residuals: Array  # (nodes, bins), means [K]; zero in a bin without a frame
     columns: Array  # (nodes, bins, unknowns), sums of the derivatives over the frames of a bin
     # Products are summed over frames for the noise: sums over a bin would lose changes of the derivatives within it,
@@ -36,7 +36,7 @@ class BinnedResiduals:
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """Noise and drift of residuals in bins of even length, at least `LEAST_BIN_S` each."""
+    """Noise and drift of residuals in bins of equal length, at least `SHORTEST_BIN_S` each."""
 
     noise: Array  # (nodes,), variance of the noise of a bin
     drift: Array  # (nodes, nodes), covariance of the drift
@@ -60,41 +60,47 @@ class Scatter:
 def binned_residuals(
     times: Sequence[Array], residuals: Sequence[Array], columns: Sequence[Array]
 ) -> list[BinnedResiduals]:
-    """Average residuals and sum derivatives in bins of each record.
+    """Return averaged residuals and summed derivatives in bins of each record.
 
     Parameters
     ----------
-    times : of each record [s], (frames,).
-    residuals : of each record, (nodes, frames), NaN where missing.
-    columns : derivatives of each record, (nodes, frames, unknowns).
+    times : stamps of the frames of each record [s], (frames,).
+    residuals : of each record [K], (nodes, frames), NaN where missing.
+    columns : derivatives of the fitted values of each record, (nodes, frames, unknowns).
     """
     binned_records = []
-    for time, residual, column in zip(times, residuals, columns, strict=True):
-        pace = max(LEAST_BIN_S, float(time[-1] - time[0]) / MOST_BINS, 2.0 * float(np.median(np.diff(time))))
-        bin_of_frame = ((time - time[0]) / pace).astype(np.int64)
+    for time, record_residuals, derivatives in zip(times, residuals, columns, strict=True):
+        bin_width = max(SHORTEST_BIN_S, float(time[-1] - time[0]) / MOST_BINS, 2.0 * float(np.median(np.diff(time))))
+        bin_of_frame = ((time - time[0]) / bin_width).astype(np.int64)
         bin_count = int(bin_of_frame[-1]) + 1
-        products = np.zeros((len(residual), column.shape[2], column.shape[2]))
-        means, sums = (
-            np.zeros((len(residual), bin_count)),
-            np.zeros((len(residual), bin_count, column.shape[2])),
+        products = np.zeros((len(record_residuals), derivatives.shape[2], derivatives.shape[2]))
+        mean_residuals, derivative_sums = (
+            np.zeros((len(record_residuals), bin_count)),
+            np.zeros((len(record_residuals), bin_count, derivatives.shape[2])),
         )
-        for node, row in enumerate(residual):
-            finite = np.isfinite(row)
-            count = np.bincount(bin_of_frame[finite], minlength=bin_count)
-            means[node] = np.bincount(bin_of_frame[finite], row[finite], bin_count) / np.maximum(count, 1)
-            products[node] = column[node][finite].T @ column[node][finite] * np.mean(count[count > 0])
-            for unknown in range(column.shape[2]):
-                sums[node, :, unknown] = np.bincount(bin_of_frame[finite], column[node][finite, unknown], bin_count)
-        binned_records.append(BinnedResiduals(pace, means, sums, products))
+        for node, node_residuals in enumerate(record_residuals):
+            finite = np.isfinite(node_residuals)
+            frames_in_bin = np.bincount(bin_of_frame[finite], minlength=bin_count)
+            mean_residuals[node] = np.bincount(bin_of_frame[finite], node_residuals[finite], bin_count) / np.maximum(
+                frames_in_bin, 1
+            )
+            products[node] = (
+                derivatives[node][finite].T @ derivatives[node][finite] * np.mean(frames_in_bin[frames_in_bin > 0])
+            )
+            for unknown in range(derivatives.shape[2]):
+                derivative_sums[node, :, unknown] = np.bincount(
+                    bin_of_frame[finite], derivatives[node][finite, unknown], bin_count
+                )
+        binned_records.append(BinnedResiduals(bin_width, mean_residuals, derivative_sums, products))
     return binned_records
 
 
 def scatter_of(bins: Sequence[BinnedResiduals]) -> Scatter:
-    """Estimate noise and drift by restricted maximum likelihood."""
+    """Estimate noise and drift by restricted maximum likelihood, with and without drift."""
     from scipy.optimize import minimize
 
     nodes = len(bins[0].residuals)
-    span = sum(record_bins.pace * record_bins.residuals.shape[1] for record_bins in bins)
+    span = sum(record_bins.bin_width * record_bins.residuals.shape[1] for record_bins in bins)
     rms = np.array(
         [
             max(math.sqrt(np.mean(np.concatenate([record_bins.residuals[node] for record_bins in bins]) ** 2)), 1e-9)
@@ -102,36 +108,39 @@ def scatter_of(bins: Sequence[BinnedResiduals]) -> Scatter:
         ]
     )
     spectra = _spectra(bins, rms)
-    low, high = (
-        math.log(SHORTEST_DECAY_BINS * bins[0].pace),
-        math.log(max(LONGEST_DECAY_SHARE * span, 4.0 * bins[0].pace)),
+    shortest_log_decay, longest_log_decay = (
+        math.log(SHORTEST_DECAY_BINS * bins[0].bin_width),
+        math.log(max(LONGEST_DECAY_SHARE * span, 4.0 * bins[0].bin_width)),
     )
     lower_triangle = [(row, column) for row in range(nodes) for column in range(row + 1)]
-    bounds = [(-14.0, 3.0)] * nodes + [(-3.0, 3.0)] * len(lower_triangle) + [(low, high)]
+    bounds = [(-14.0, 3.0)] * nodes + [(-3.0, 3.0)] * len(lower_triangle) + [(shortest_log_decay, longest_log_decay)]
 
-    def unpacked(point: Array) -> Scatter:
+    def scatter_at(point: Array) -> Scatter:
         root = np.zeros((nodes, nodes))
         for (row, column), value in zip(lower_triangle, point[nodes:-1], strict=True):
             root[row, column] = value
         noise = np.exp(point[:nodes])
         return Scatter(noise, root @ root.T, math.exp(point[-1]), span, noise, 1.0)
 
-    def cost(point: Array) -> float:
-        return _negative_log_likelihood(unpacked(point), spectra)
+    def deviance_at(point: Array) -> float:
+        return _restricted_deviance(scatter_at(point), spectra)
 
-    solutions = []
+    optima = []
     for decay_time in DECAY_STARTS_S:
         start = [math.log(0.7)] * nodes + [0.3 if row == column else 0.0 for row, column in lower_triangle]
-        starting_point = np.array([*start, min(max(math.log(decay_time), low), high)])
-        solutions.append(minimize(cost, starting_point, method="L-BFGS-B", bounds=bounds))
-    best = min(solutions, key=lambda solution: float(solution.fun))
+        starting_point = np.array([*start, min(max(math.log(decay_time), shortest_log_decay), longest_log_decay)])
+        optima.append(minimize(deviance_at, starting_point, method="L-BFGS-B", bounds=bounds))
+    best = min(optima, key=lambda optimum: float(optimum.fun))
     drift_terms = len(lower_triangle)
-    bounds_without_drift = bounds[:nodes] + [(0.0, 0.0)] * drift_terms + [(low, low)]
+    bounds_without_drift = bounds[:nodes] + [(0.0, 0.0)] * drift_terms + [(shortest_log_decay, shortest_log_decay)]
     without_drift = minimize(
-        cost, [0.0] * (nodes + drift_terms) + [low], method="L-BFGS-B", bounds=bounds_without_drift
+        deviance_at,
+        [0.0] * (nodes + drift_terms) + [shortest_log_decay],
+        method="L-BFGS-B",
+        bounds=bounds_without_drift,
     )
-    weight_of_drift = 1.0 / (1.0 + math.exp(min(drift_terms + 1 - 0.5 * (without_drift.fun - best.fun), 700.0)))
-    with_drift, scale = unpacked(best.x), np.outer(rms, rms)
+    drift_weight = 1.0 / (1.0 + math.exp(min(drift_terms + 1 - 0.5 * (without_drift.fun - best.fun), 700.0)))
+    with_drift, scale = scatter_at(best.x), np.outer(rms, rms)
     noise_without_drift = np.exp(without_drift.x[:nodes]) * rms**2
     return Scatter(
         with_drift.noise * rms**2,
@@ -139,37 +148,40 @@ def scatter_of(bins: Sequence[BinnedResiduals]) -> Scatter:
         with_drift.decay_time,
         span,
         noise_without_drift,
-        weight_of_drift,
+        drift_weight,
     )
 
 
 def covariance_of_sums(record_bins: BinnedResiduals, scatter: Scatter) -> tuple[Array, Array]:
-    """Return the covariance of sums of residuals weighted by the derivatives, by noise and by drift.
+    """Return the covariance by noise, and that by drift, of the sums of residuals times derivatives.
 
     Both have shape (unknowns, unknowns).
     """
     bin_count = record_bins.columns.shape[1]
-    padded = np.fft.rfft(record_bins.columns, 2 * bin_count, axis=1)
+    transform = np.fft.rfft(record_bins.columns, 2 * bin_count, axis=1)
     weight = _multiplicity(2 * bin_count) / (2 * bin_count)
-    shape = drift_spectrum(scatter.decay_time, record_bins.pace, 2 * bin_count) * weight
+    density = drift_spectrum(scatter.decay_time, record_bins.bin_width, 2 * bin_count) * weight
     by_noise = np.tensordot(scatter.noise, record_bins.products, 1)
-    mixed = np.einsum("nm,mfl->nfl", scatter.drift, padded)
-    by_drift = np.einsum("nfk,nfl,f->kl", padded.conj(), mixed, shape, optimize=True).real
+    drift_transform = np.einsum("nm,mfl->nfl", scatter.drift, transform)
+    by_drift = np.einsum("nfk,nfl,f->kl", transform.conj(), drift_transform, density, optimize=True).real
     return np.asarray(by_noise), np.asarray(by_drift)
 
 
-def drift_spectrum(decay_time: float, pace: float, size: int) -> Array:
+def drift_spectrum(decay_time: float, bin_width: float, size: int) -> Array:
     """Return the power spectrum of a drift of unit variance, sampled in bins, at the frequencies of a real transform.
 
-    Decay time and pace are in s; `size` is the number of bins that are transformed.
+    `decay_time` and `bin_width` are in s; `size` is the number of bins that are transformed.
     """
-    decay = math.exp(-pace / decay_time)
+    decay = math.exp(-bin_width / decay_time)
     angles = 2.0 * np.pi * np.arange(size // 2 + 1) / size
     return np.asarray((1.0 - decay**2) / (1.0 - 2.0 * decay * np.cos(angles) + decay**2), np.float64)
 
 
 def _multiplicity(size: int) -> Array:
-    """Return how often each frequency of a real transform occurs in the complex one: 2, or 1 at the ends."""
+    """Return how often each frequency of a real transform occurs in the complex transform.
+
+    That is twice, but once for frequency zero and, if `size` is even, for the highest frequency.
+    """
     weight = np.full(size // 2 + 1, 2.0)
     weight[0] = 1.0
     if size % 2 == 0:
@@ -179,54 +191,55 @@ def _multiplicity(size: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Transforms of one record, real and imaginary parts in sequence, weighted by how often each frequency counts."""
+    """Fourier transforms of one record, real before imaginary parts, weighted by how often each frequency counts."""
 
     residuals: Array  # (nodes, parts), over the rms of the residuals
     columns: Array  # (nodes, parts, unknowns), each column normalised over all records
     size: int  # bins
-    pace: float  # s
+    bin_width: float  # s
 
 
 def _spectra(bins: Sequence[BinnedResiduals], rms: Array) -> list[Spectrum]:
-    columns = [record_bins.columns / rms[:, None, None] for record_bins in bins]
-    length = np.sqrt(sum(np.sum(transform**2, axis=(0, 1)) for transform in columns))
-    length[length == 0.0] = 1.0
+    """Return the spectrum of each record; `rms` is that of the residuals of each node, shape (nodes,)."""
+    scaled_columns = [record_bins.columns / rms[:, None, None] for record_bins in bins]
+    norms = np.sqrt(sum(np.sum(transform**2, axis=(0, 1)) for transform in scaled_columns))
+    norms[norms == 0.0] = 1.0
     spectra = []
-    for record_bins, column in zip(bins, columns, strict=True):
+    for record_bins, derivatives in zip(bins, scaled_columns, strict=True):
         size = record_bins.residuals.shape[1]
         weight = np.sqrt(_multiplicity(size) / size)
         residual_transform = np.fft.rfft(record_bins.residuals / rms[:, None], axis=1) * weight
-        column_transform = np.fft.rfft(column / length, axis=1) * weight[:, None]
-        rows, stacked = (
+        column_transform = np.fft.rfft(derivatives / norms, axis=1) * weight[:, None]
+        residual_parts, column_parts = (
             np.concatenate([transform.real, transform.imag], axis=1)
             for transform in (residual_transform, column_transform)
         )
-        spectra.append(Spectrum(rows, stacked, size, record_bins.pace))
+        spectra.append(Spectrum(residual_parts, column_parts, size, record_bins.bin_width))
     return spectra
 
 
-def _negative_log_likelihood(scatter: Scatter, spectra: Sequence[Spectrum]) -> float:
-    """Return minus twice the logarithm of the restricted likelihood.
+def _restricted_deviance(scatter: Scatter, spectra: Sequence[Spectrum]) -> float:
+    """Return the restricted deviance: minus twice the logarithm of the restricted likelihood.
 
     A rotation of the nodes makes noise and drift independent at each frequency and gives the noise variance one.
     """
-    root = 1.0 / np.sqrt(scatter.noise)
-    drifts, vectors = np.linalg.eigh(scatter.drift * np.outer(root, root))
-    rotation = vectors.T * root
-    total, rows, columns = 0.0, [], []
+    noise_scale = 1.0 / np.sqrt(scatter.noise)
+    drift_variances, vectors = np.linalg.eigh(scatter.drift * np.outer(noise_scale, noise_scale))
+    rotation = vectors.T * noise_scale
+    log_determinant, whitened_residuals, whitened_columns = 0.0, [], []
     for spectrum in spectra:
-        shape = drift_spectrum(scatter.decay_time, spectrum.pace, spectrum.size)
-        density = 1.0 + np.maximum(drifts, 0.0)[:, None] * shape
-        total += float(_multiplicity(spectrum.size) @ np.log(density).sum(axis=0)) + spectrum.size * float(
+        drift_density = drift_spectrum(scatter.decay_time, spectrum.bin_width, spectrum.size)
+        density = 1.0 + np.maximum(drift_variances, 0.0)[:, None] * drift_density
+        log_determinant += float(_multiplicity(spectrum.size) @ np.log(density).sum(axis=0)) + spectrum.size * float(
             np.log(scatter.noise).sum()
         )
         scale = 1.0 / np.sqrt(np.tile(density, 2))
-        rows.append(((rotation @ spectrum.residuals) * scale).ravel())
-        columns.append(
+        whitened_residuals.append(((rotation @ spectrum.residuals) * scale).ravel())
+        whitened_columns.append(
             (np.tensordot(rotation, spectrum.columns, 1) * scale[:, :, None]).reshape(-1, spectrum.columns.shape[2])
         )
-    all_rows, all_columns = np.concatenate(rows), np.concatenate(columns)
-    information, projection = all_columns.T @ all_columns, all_columns.T @ all_rows
+    residuals, all_columns = np.concatenate(whitened_residuals), np.concatenate(whitened_columns)
+    information, projection = all_columns.T @ all_columns, all_columns.T @ residuals
     information += 1e-12 * np.trace(information) * np.eye(len(information))
     explained = float(projection @ np.linalg.solve(information, projection))
-    return total + float(all_rows @ all_rows) + float(np.linalg.slogdet(information)[1]) - explained
+    return log_determinant + float(residuals @ residuals) + float(np.linalg.slogdet(information)[1]) - explained
