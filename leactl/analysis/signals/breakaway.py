@@ -16,9 +16,9 @@ from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run, Step
 
 BREAKAWAY = "breakaway"
-LEAST_COUNTS = 3.0  # of the encoder; a smaller change of angle may be the twist of the shaft
-FITTED_SHARE = 0.2  # of the time from the start of the ramp to the motion; its last part is fitted
-FEWEST_READINGS = 20  # of torque in that part, and of the angle before the motion
+LEAST_ENCODER_COUNTS = 3.0  # of motion; a smaller change of angle may be the twist of the shaft
+FITTED_SHARE = 0.2  # of the time from the start of the ramp to the motion, up to the motion
+FEWEST_READINGS = 20  # of the torque in the fitted time, and of the angle before the motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,11 +28,11 @@ class Breakaway:
     trial: TrialLabel
     torque: float  # N*m, against the motion; the sensor's zero is not subtracted
     time: Array  # s, from the motion of the shaft; negative before it
-    along: Array  # N*m, readings of the torque against the motion
+    opposing_torque: Array  # N*m, readings of the torque against the motion
 
 
 def breakaways_of(run: Run, number: int, torque: Channel) -> Noted[list[Breakaway]]:
-    """Return every usable breakaway of run `number`; notes say why others cannot be used."""
+    """Return every usable breakaway of a run, the `number`-th of all; notes say why others cannot be used."""
     angle = run.channel("angle")
     breakaways: list[Breakaway] = []
     left_out: dict[str, list[str]] = {}
@@ -45,7 +45,7 @@ def breakaways_of(run: Run, number: int, torque: Channel) -> Noted[list[Breakawa
 
 
 def breakaway_of(number: int, step: Step, angle: Channel, torque: Channel) -> Breakaway:
-    """Evaluate the breakaway of one step.
+    """Return the breakaway of one step.
 
     Raises
     ------
@@ -53,41 +53,43 @@ def breakaway_of(number: int, step: Step, angle: Channel, torque: Channel) -> Br
     """
     motion_time, direction = motion(step, angle)
     fit_start = motion_time - FITTED_SHARE * (motion_time - step.start)
-    fitted = (torque.time >= fit_start) & (torque.time < motion_time) & np.isfinite(torque.values)
-    time, opposing = torque.time[fitted] - motion_time, -direction * torque.values[fitted]
+    in_fit = (torque.time >= fit_start) & (torque.time < motion_time) & np.isfinite(torque.values)
+    time, opposing_torque = torque.time[in_fit] - motion_time, -direction * torque.values[in_fit]
     if len(time) < FEWEST_READINGS:
         raise NotIdentifiable(f"fewer than {FEWEST_READINGS} readings of torque before the shaft moved")
-    return Breakaway(TrialLabel(number, direction), plateau_torque(time, opposing), time, opposing)
+    return Breakaway(TrialLabel(number, direction), plateau_torque(time, opposing_torque), time, opposing_torque)
 
 
 def motion(step: Step, angle: Channel) -> tuple[float, int]:
-    """Return the time [s] at which the shaft has moved by more than `LEAST_COUNTS`, and the direction, 1 or -1.
+    """Return the time [s] at which the shaft has moved by more than `LEAST_ENCODER_COUNTS`, and its direction.
+
+    The direction is 1 or -1.
 
     Raises
     ------
-    NotIdentifiable : no angle is recorded, or the shaft did not move, or moved from the beginning.
+    NotIdentifiable : too few angles are recorded, or the shaft did not move, or moved from the beginning.
     """
     in_step = (angle.time >= step.start) & (angle.time < step.stop) & np.isfinite(angle.values)
     time, values = angle.time[in_step], angle.values[in_step]
     if len(values) < FEWEST_READINGS:
         raise NotIdentifiable("no angle is recorded")
-    steps = np.diff(np.unique(values))
-    threshold = LEAST_COUNTS * float(steps.min()) if len(steps) else 0.0
-    moved = np.flatnonzero(np.abs(values - values[0]) > threshold)
-    if not len(moved):
+    angle_steps = np.diff(np.unique(values))
+    threshold = LEAST_ENCODER_COUNTS * float(angle_steps.min()) if len(angle_steps) else 0.0
+    moved_indices = np.flatnonzero(np.abs(values - values[0]) > threshold)
+    if not len(moved_indices):
         raise NotIdentifiable("the shaft did not let go: give a higher current")
-    if moved[0] < FEWEST_READINGS:
+    if moved_indices[0] < FEWEST_READINGS:
         raise NotIdentifiable("the shaft turned from the beginning")
-    return float(time[moved[0]]), int(np.sign(values[moved[0]] - values[0]))
+    return float(time[moved_indices[0]]), int(np.sign(values[moved_indices[0]] - values[0]))
 
 
-def plateau_torque(time: Array, along: Array) -> float:
+def plateau_torque(time: Array, opposing_torque: Array) -> float:
     """Fit a ramp that ends in a plateau, trying each sample as the corner; return the best fit's plateau [N*m]."""
-    smallest, plateau = np.inf, float("nan")
+    smallest_square, plateau = np.inf, float("nan")
     for corner_time in time[len(time) // 4 : -2]:
         design = np.column_stack([np.ones_like(time), np.minimum(time - corner_time, 0.0)])
-        solution, *_ = np.linalg.lstsq(design, along, rcond=None)
-        residual_square = float(np.sum((along - design @ solution) ** 2))
-        if residual_square < smallest:
-            smallest, plateau = residual_square, float(solution[0])
+        solution, *_ = np.linalg.lstsq(design, opposing_torque, rcond=None)
+        residual_square = float(np.sum((opposing_torque - design @ solution) ** 2))
+        if residual_square < smallest_square:
+            smallest_square, plateau = residual_square, float(solution[0])
     return plateau

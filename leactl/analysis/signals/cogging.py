@@ -1,7 +1,7 @@
 """Cogging: torque that depends on the angle alone, from whole turns of an unpowered rotor at a low speed, both ways.
 
 Friction changes sign with the direction and cogging does not, so the mean over both directions at each angle is cogging
-and the sensor's zero. Cogging makes the speed ripple; the torque that inertia and damping take up with this ripple is
+plus the sensor's zero. Cogging makes the speed ripple; the torque that inertia and damping take up with this ripple is
 added to the reading. The torque of each turn is decomposed into harmonics of the turn; a harmonic counts where its mean
 over the turns is more than noise.
 """
@@ -25,11 +25,11 @@ Amplitudes = npt.NDArray[np.complex128]
 TURN = "turn"
 FULL_TURN = 2.0 * math.pi  # rad
 ORDER_COUNT = 600  # orders that are computed: the highest number of periods a turn, plus one
-FEWEST_PER_PERIOD = 4  # readings
+FEWEST_READINGS_PER_PERIOD = 4  # of a harmonic that is computed
 CORRECTION_STD = 0.1  # relative standard uncertainty of the correction for inertia, which may be from a drawing
-FEWEST_READINGS = 256  # of a turn
-SHAPE_ANGLES = 4096  # angles at which the peak to peak of a shape is taken
-FALSE_ALARM_PROBABILITY = 1e-3  # that noise makes any of the harmonics significant
+FEWEST_READINGS = 256  # of the torque in a turn
+SHAPE_ANGLES = 4096  # angles in a turn at which a peak to peak is taken
+FALSE_ALARM_PROBABILITY = 1e-3  # probability that noise makes any of the harmonics significant
 PLOTTED_ANGLES = 512  # angles in the plot
 
 
@@ -55,31 +55,34 @@ class RotorDynamics:
 
 
 def turns_of(run: Run, number: int, torque: Channel, damping: float) -> Noted[list[Turn]]:
-    """Return the steps `turn` of run `number` that cover a whole turn, and a note on each that does not.
+    """Return the steps `turn` of a run that cover a whole turn, and a note on each step that does not.
 
     Parameters
     ----------
+    number : of the run among all runs.
     torque : of the sensor [N*m], NaN for readings that must not count.
     damping : viscous damping of the rotor [N*m*s/rad].
     """
     angle, velocity = run.channel("angle"), run.channel("velocity")
-    angle_known, velocity_known = np.isfinite(angle.values), np.isfinite(velocity.values)
+    finite_angle, finite_velocity = np.isfinite(angle.values), np.isfinite(velocity.values)
     inertia = inertia_of(run)
     rotor = RotorDynamics(inertia.value, damping)
     turns, notes = [], [*inertia.notes]
     for step in (step for step in run.steps if step.name == TURN):
         in_turn = (torque.time >= step.start + step.settle) & (torque.time < step.stop) & np.isfinite(torque.values)
         time = torque.time[in_turn]
-        angles = np.interp(time, angle.time[angle_known], angle.values[angle_known])
+        angles = np.interp(time, angle.time[finite_angle], angle.values[finite_angle])
         if len(time) < FEWEST_READINGS or np.ptp(angles) < FULL_TURN:
-            turned = float(np.ptp(angles)) if len(angles) else 0.0
-            notes.append(f"{run.path} at {step.start:.1f} s: {turned:.2f} rad are no whole turn; it shows no cogging")
+            angle_range = float(np.ptp(angles)) if len(angles) else 0.0
+            notes.append(
+                f"{run.path} at {step.start:.1f} s: {angle_range:.2f} rad are no whole turn; it shows no cogging"
+            )
             continue
         direction = 1 if angles[-1] > angles[0] else -1
-        first_turn = np.abs(angles - angles[0]) < FULL_TURN
-        speed = np.interp(time[first_turn], velocity.time[velocity_known], velocity.values[velocity_known])
+        in_first_turn = np.abs(angles - angles[0]) < FULL_TURN
+        speed = np.interp(time[in_first_turn], velocity.time[finite_velocity], velocity.values[finite_velocity])
         uncorrected, ripple = harmonics_over_turn(
-            angles[first_turn], np.abs(speed), np.stack([torque.values[in_turn][first_turn], speed])
+            angles[in_first_turn], np.abs(speed), np.stack([torque.values[in_turn][in_first_turn], speed])
         )
         corrected = uncorrected + rotor.torque_of_ripple(float(speed.mean()), ripple)
         turns.append(Turn(TrialLabel(number, direction), corrected, uncorrected))
@@ -87,7 +90,7 @@ def turns_of(run: Run, number: int, torque: Channel, damping: float) -> Noted[li
 
 
 def inertia_of(run: Run) -> Noted[float]:
-    """Return the rotor inertia in a run's model [kg*m^2]; zero and a note where the model has none."""
+    """Return the rotor inertia in a run's model [kg*m^2]; zero and a note if the model has none."""
     inertia = rotor_inertia_of_model(run)
     if math.isfinite(inertia):
         return Noted(inertia)
@@ -99,13 +102,13 @@ def inertia_of(run: Run) -> Noted[float]:
 def harmonics_over_turn(angle: Array, speed: Array, signals: Array) -> Amplitudes:
     """Return the harmonics of each signal over one turn, shape (signals, orders).
 
-    Readings are evenly spaced in time; `angle` [rad] and `speed` [rad/s] have shape (readings,). The integral over the
-    angle takes speed times time between two readings, since the encoder's counts are coarser than that. Orders with too
-    few readings a period stay zero.
+    Readings are evenly spaced in time; `angle` [rad] and `speed` [rad/s] have shape (readings,). In the integral
+    over the angle, a step is speed times time between two readings, since the encoder's counts are coarser than that.
+    Orders with fewer than `FEWEST_READINGS_PER_PERIOD` stay zero.
     """
     weights = speed / speed.sum()
     deviation = signals - (signals @ weights)[:, np.newaxis]
-    orders = min(ORDER_COUNT, len(angle) // FEWEST_PER_PERIOD)
+    orders = min(ORDER_COUNT, len(angle) // FEWEST_READINGS_PER_PERIOD)
     waves = np.exp(-1j * np.outer(angle, np.arange(orders)))
     amplitudes = np.zeros((len(signals), ORDER_COUNT), np.complex128)
     amplitudes[:, :orders] = 2.0 * (deviation * weights) @ waves
@@ -115,8 +118,8 @@ def harmonics_over_turn(angle: Array, speed: Array, signals: Array) -> Amplitude
 def cogging_of(turns: Sequence[Turn], gain_std: float) -> Noted[tuple[list[Estimate], Plot | None]]:
     """Estimate order and amplitude of the largest harmonic, and the peak to peak of all significant harmonics.
 
-    `gain_std` is the relative standard uncertainty of the torque's calibration. There is no plot where no harmonic is
-    significant.
+    `gain_std` is the relative standard uncertainty of the torque's calibration. If no harmonic is significant, the
+    plot is None and the results are upper bounds.
 
     Raises
     ------
@@ -131,24 +134,26 @@ def cogging_of(turns: Sequence[Turn], gain_std: float) -> Noted[tuple[list[Estim
     harmonics = np.array([turn.corrected for turn in turns])
     weights = np.array([0.5 / directions.count(direction) for direction in directions])
     mean = weights @ harmonics
-    errors = standard_errors(turns, harmonics, weights)
-    significant = significant_harmonics(mean, errors)
+    standard_error = standard_errors(turns, harmonics, weights)
+    is_significant = significant_harmonics(mean, standard_error)
     trials = [turn.trial for turn in turns]
-    if not significant.any():
-        bound = float(np.max((np.abs(mean) + 2.0 * errors)[1:]))
-        bounds = [
+    if not is_significant.any():
+        upper_bound = float(np.max((np.abs(mean) + 2.0 * standard_error)[1:]))
+        upper_bounds = [
             Estimate("cogging_order", NAN, NAN, NAN, NAN, "1"),
-            Estimate("cogging_amplitude", NAN, NAN, 0.0, bound, "N*m"),
-            Estimate("cogging_peak_to_peak", NAN, NAN, 0.0, 2.0 * bound, "N*m"),
+            Estimate("cogging_amplitude", NAN, NAN, 0.0, upper_bound, "N*m"),
+            Estimate("cogging_peak_to_peak", NAN, NAN, 0.0, 2.0 * upper_bound, "N*m"),
         ]
-        note = f"no part of the torque repeats with the angle by more than noise: cogging is below {bound:.2g} N*m"
-        return Noted((bounds, None), (note,))
-    largest = int(np.argmax(np.where(significant, np.abs(mean), 0.0)))
+        note = (
+            f"no part of the torque repeats with the angle by more than noise: cogging is below {upper_bound:.2g} N*m"
+        )
+        return Noted((upper_bounds, None), (note,))
+    largest = int(np.argmax(np.where(is_significant, np.abs(mean), 0.0)))
     amplitudes, raw_amplitudes = (
         np.real(np.array([getattr(turn, name) for turn in turns])[:, largest] * np.exp(-1j * np.angle(mean[largest])))
         for name in ("corrected", "uncorrected")
     )
-    orders = np.flatnonzero(significant)
+    orders = np.flatnonzero(is_significant)
     angles = np.linspace(0.0, FULL_TURN, SHAPE_ANGLES, endpoint=False)
     peak_to_peaks, raw_peak_to_peaks = (
         np.array([np.ptp(shape(getattr(turn, name), orders, angles)) for turn in turns])
@@ -173,8 +178,8 @@ def cogging_of(turns: Sequence[Turn], gain_std: float) -> Noted[tuple[list[Estim
     ]
     largest_first = orders[np.argsort(-np.abs(mean[orders]))][:6]
     listed_orders = ", ".join(f"{order} ({abs(mean[order]):.2g} N*m)" for order in largest_first)
-    drawn = angles[:: SHAPE_ANGLES // PLOTTED_ANGLES]
-    line = Series("cogging", tuple(drawn.tolist()), tuple(shape(mean, orders, drawn).tolist()))
+    plotted_angles = angles[:: SHAPE_ANGLES // PLOTTED_ANGLES]
+    line = Series("cogging", tuple(plotted_angles.tolist()), tuple(shape(mean, orders, plotted_angles).tolist()))
     plot = Plot("angle [rad]", "cogging torque [N*m]", (), (line,))
     return Noted((results, plot), (f"cogging, by periods a turn: {listed_orders}",))
 
@@ -199,22 +204,22 @@ def standard_errors(turns: Sequence[Turn], harmonics: Amplitudes, weights: Array
         squares += np.sum(np.abs(same_direction - same_direction.mean(axis=0)) ** 2, axis=0)
         dof += len(same_direction) - 1
     noise = squares / dof
-    floor = np.full_like(noise, np.median(noise[1:][noise[1:] > 0.0]) if (noise[1:] > 0.0).any() else 0.0)
-    error: Array = np.sqrt(np.maximum(noise, floor) * np.sum(weights**2))
-    return error
+    noise_floor = np.full_like(noise, np.median(noise[1:][noise[1:] > 0.0]) if (noise[1:] > 0.0).any() else 0.0)
+    errors: Array = np.sqrt(np.maximum(noise, noise_floor) * np.sum(weights**2))
+    return errors
 
 
-def significant_harmonics(mean: Amplitudes, error: Array) -> npt.NDArray[np.bool_]:
-    """Return which harmonics are significant, shape (orders,).
+def significant_harmonics(mean: Amplitudes, standard_error: Array) -> npt.NDArray[np.bool_]:
+    """Return the mask of the significant harmonics, shape (orders,).
 
-    Noise makes any of them significant with the probability `FALSE_ALARM_PROBABILITY`.
+    `FALSE_ALARM_PROBABILITY` is the probability that noise makes at least one of them significant.
     """
-    noise = np.where(error > 0.0, error, np.inf)
-    tested = max(int(np.count_nonzero(error[1:] > 0.0)), 1)
-    threshold = math.log(tested / FALSE_ALARM_PROBABILITY)
-    significant: npt.NDArray[np.bool_] = np.abs(mean) ** 2 > threshold * noise**2
-    significant[0] = False
-    return significant
+    noise_of_mean = np.where(standard_error > 0.0, standard_error, np.inf)
+    tested_count = max(int(np.count_nonzero(standard_error[1:] > 0.0)), 1)
+    threshold = math.log(tested_count / FALSE_ALARM_PROBABILITY)
+    is_significant: npt.NDArray[np.bool_] = np.abs(mean) ** 2 > threshold * noise_of_mean**2
+    is_significant[0] = False
+    return is_significant
 
 
 def shape(harmonics: Amplitudes, orders: npt.NDArray[np.int64], angles: Array) -> Array:

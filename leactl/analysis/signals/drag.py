@@ -19,8 +19,8 @@ from leactl.runfile.read.reader import Run
 VELOCITY = "velocity"
 FEWEST_LEVELS = 4  # distinct speeds: one more than f, b and c need
 MOST_SPEED_ERROR = 0.05  # of the setpoint; a level whose velocity differs by more was not reached
-LEAST_OPPOSITE = 0.5  # of the setpoint; a larger velocity of opposite sign has the wrong sign
-MOST_QUARTER_CHANGE = 0.02  # of the setpoint, by which the quarters of a settled part may differ
+LEAST_OPPOSITE_VELOCITY = 0.5  # of the setpoint; a larger velocity of opposite sign has the wrong sign
+MOST_QUARTER_SPREAD = 0.02  # of the setpoint; a hold whose quarters differ by more was not steady
 UNITS = {"viscous_damping": "N*m*s/rad", "coulomb_friction": "N*m", "quadratic_drag": "N*m*s^2/rad^2"}
 
 
@@ -29,17 +29,17 @@ def holds_at_setpoint(runs: Sequence[Run], levels: HoldMeans, error_prefix: str)
 
     Raises
     ------
-    NotIdentifiable : these holds have fewer than four distinct speeds.
+    NotIdentifiable : these holds have fewer than `FEWEST_LEVELS` distinct speeds.
     """
     velocity, setpoint, quarters = levels.means[VELOCITY], levels.setpoint, levels.quarter_means[VELOCITY]
-    unsteady = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1) > MOST_QUARTER_CHANGE * np.abs(setpoint)
-    opposite = velocity * setpoint < 0.0
+    is_unsteady = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1) > MOST_QUARTER_SPREAD * np.abs(setpoint)
+    is_opposite = velocity * setpoint < 0.0
     reasons = {
         "the shaft was to stand": setpoint == 0.0,
-        "the velocity has the opposite sign of its setpoint": opposite
-        & (np.abs(velocity) > LEAST_OPPOSITE * np.abs(setpoint)),
+        "the velocity has the opposite sign of its setpoint": is_opposite
+        & (np.abs(velocity) > LEAST_OPPOSITE_VELOCITY * np.abs(setpoint)),
         "the velocity was not reached": np.abs(velocity - setpoint) > MOST_SPEED_ERROR * np.abs(setpoint),
-        "the velocity was not steady": unsteady,
+        "the velocity was not steady": is_unsteady,
     }
     usable = np.ones(len(levels), np.bool_)
     notes = []
@@ -48,20 +48,20 @@ def holds_at_setpoint(runs: Sequence[Run], levels: HoldMeans, error_prefix: str)
             indices = np.flatnonzero(applies & usable & (levels.run_index == number))
             notes += tally({reason: [str(levels.holds[index]) for index in indices]}, f"{runs[number].path}")
         usable &= ~applies
-    distinct = len(np.unique(np.round(np.abs(setpoint[usable]), 9)))
-    if distinct < FEWEST_LEVELS:
-        cause = f" ({'; '.join(notes)})" if notes else ""
+    speed_count = len(np.unique(np.round(np.abs(setpoint[usable]), 9)))
+    if speed_count < FEWEST_LEVELS:
+        notes_text = f" ({'; '.join(notes)})" if notes else ""
         raise NotIdentifiable(
-            f"{error_prefix}: found {distinct} speeds at which the shaft turned steadily{cause}; "
+            f"{error_prefix}: found {speed_count} speeds at which the shaft turned steadily{notes_text}; "
             f"{FEWEST_LEVELS} or more are needed"
         )
     return Noted(levels.where(usable), tuple(notes))
 
 
 def fit_drag(levels: HoldMeans, torque: Array, error_prefix: str) -> LineFit:
-    """Fit the torque that keeps the shaft turning [N*m] over velocity, with a zero of its own for each run.
+    """Fit the torque that keeps the shaft turning [N*m] over velocity, with a zero error for each run.
 
-    Where the shaft turned in one direction only, the Coulomb friction contains that zero.
+    If the shaft turned in one direction only, the Coulomb friction contains that error.
     """
     velocity = levels.means[VELOCITY]
     columns = {"viscous_damping": velocity, "quadratic_drag": velocity * np.abs(velocity)}
@@ -90,7 +90,10 @@ def coefficients(line: LineFit, relative_std: float = 0.0) -> list[Estimate]:
 
 
 def weights_at(line: LineFit, speed: float) -> Array:
-    """Return the weights of the coefficients in the drag torque at a speed [rad/s], without the zero of the torque."""
+    """Return the weights of the coefficients in the drag torque at a speed [rad/s], shape (coefficients,).
+
+    The zero error of the torque is left out, unless the shaft turned in one direction only.
+    """
     terms = {"viscous_damping": speed, "quadratic_drag": speed * speed, "coulomb_friction": 1.0}
     weights = np.zeros(len(line.fit.coefficients))
     weights[: len(line.slopes)] = [terms[name] for name in line.slopes]
@@ -100,5 +103,5 @@ def weights_at(line: LineFit, speed: float) -> Array:
 
 
 def drag_at(fit: LeastSquaresFit, line: LineFit, speeds: Array) -> Array:
-    """Return the drag torque at speeds [rad/s], shape (speeds,), in N*m."""
+    """Return the drag torque [N*m] of a fit at speeds [rad/s], shape (speeds,); `line` names its coefficients."""
     return np.array([fit.combination(weights_at(line, float(speed)))[0] for speed in speeds])
