@@ -1,9 +1,9 @@
 """Coast-down: inertia and friction from run-outs with the drive off, by the retardation method (IEC 60034-2-2).
 
-Unpowered, J dw/dt = -(f + b w + c w^2): a run-out alone gives f/J, b/J and c/J and nothing of the inertia. The current
-that held the speed before gives the drag in N*m, and drag over deceleration at that speed is the inertia. The equation
-is fitted in its integral form, w = w0 - d t - a int w dt - q int w^2 dt, which takes no derivative of a noisy speed;
-the lag of the drive's speed filter is in w and its integrals alike.
+Unpowered, J dw/dt = -(f + b w + c w^2): a run-out alone gives f/J, b/J and c/J, but not the inertia. The current that
+held the speed before gives the drag in N*m, and drag over deceleration at that speed is the inertia. The equation is
+fitted in its integral form, w = w0 - d t - a int w dt - q int w^2 dt, which takes no derivative of a noisy speed; the
+lag of the drive's speed filter is the same in w and in its integrals.
 """
 
 import math
@@ -38,10 +38,10 @@ RESULTS = {
 CURRENT, VELOCITY, ENABLED = "q_axis_current", "velocity", "drive_enabled"
 VELOCITY_HOLDS = HoldSelector("velocity_rad_s", "rad/s")
 COAST = "coast"
-SLOWEST_PART = 0.1  # of the held speed; below it, the filter's lag and sticking show
-FEWEST_SAMPLES = 20
-MOST_SPEED_ERROR = 0.05  # of the setpoint, by which a held velocity may differ from it
-MOST_ABOVE_HELD = 0.05  # of the held speed, by which a run-out may be faster
+SLOWEST_SHARE = 0.1  # of the held speed; below it, the filter's lag and sticking change the curve
+FEWEST_SAMPLES = 20  # of a run-out
+MOST_SPEED_ERROR = 0.05  # of the setpoint; a held velocity that differs by more was not reached
+MOST_SPEED_EXCESS = 0.05  # of the held speed; a run-out that is faster by more was driven
 UNITS_OVER_INERTIA = {"coulomb": "rad/s^2", "damping": "1/s", "quadratic": "1/rad"}
 DRAG_UNITS = {"coulomb_friction": "N*m", "viscous_damping": "N*m*s/rad", "quadratic_drag": "N*m*s^2/rad^2"}
 
@@ -51,19 +51,19 @@ class RunOut:
     """One run-out, whose deceleration at speed w is d + a w + q w^2 [rad/s^2]."""
 
     trial: TrialLabel
-    before: float  # rad/s, magnitude of the speed that was held
-    current: float  # A, that held it, along the motion
+    held_speed: float  # rad/s, magnitude of the speed in the hold before
+    current: float  # A, of that hold, along the motion
     rounding: float  # relative standard uncertainty of the current by the steps of its readings, shared by all trials
     time: Array  # s, since the fit's first sample
     speed: Array  # rad/s, magnitude
-    fitted: Array  # rad/s
-    fit: tuple[float, float, float]  # d, a, q
+    fitted: Array  # rad/s, speed of the fit
+    coefficients: tuple[float, float, float]  # d [rad/s^2], a [1/s], q [1/rad]
 
     @property
     def deceleration(self) -> float:
-        """Return the deceleration at the speed that was held before [rad/s^2]."""
-        d, a, q = self.fit
-        return d + a * self.before + q * self.before**2
+        """Return the deceleration at the held speed [rad/s^2]."""
+        d, a, q = self.coefficients
+        return d + a * self.held_speed + q * self.held_speed**2
 
 
 def analyze(
@@ -91,7 +91,8 @@ def analyze(
     ------
     MissingChannel : a run has no velocity of the test actuator, or no q-axis current.
     NotIdentifiable : no direction has two usable run-outs.
-    InputError : a torque constant that is no positive number, or current and velocity of opposite senses.
+    InputError : a torque constant that is no positive number, an uncertainty below zero, or current and velocity of
+        opposite senses.
     """
     error_prefix = f"{paths_of(runs)}: coast-down"
     notes = setup_notes(runs, ("free",), "inertia and drag of whatever else is on the shaft are counted in")
@@ -119,7 +120,7 @@ def analyze(
         units = {"rotor_inertia": "kg*m^2", **DRAG_UNITS}
         results += [Estimate(name, NAN, NAN, NAN, NAN, unit) for name, unit in units.items()]
     for index, (name, unit) in enumerate(UNITS_OVER_INERTIA.items()):
-        values = [run_out.fit[index] for run_out in run_outs]
+        values = [run_out.coefficients[index] for run_out in run_outs]
         results.append(mean_of(values, trials, f"{name}_over_inertia", unit))
     notes[:0] = unit_notes(runs, results, [CURRENT], [VELOCITY], torque_constant)
     paths = tuple(str(run.path) for run in runs)
@@ -129,20 +130,20 @@ def analyze(
 def inertia_and_drag(
     run_outs: Sequence[RunOut], trials: Sequence[TrialLabel], constants: TorqueConstants
 ) -> list[Estimate]:
-    """Estimate the inertia, drag torque over deceleration at the held speed, and the coefficients of the drag."""
+    """Estimate the inertia, which is drag torque over deceleration at the held speed, and the drag's coefficients."""
     inertias = [
         float(constants.values[run_out.trial.run]) * run_out.current / run_out.deceleration for run_out in run_outs
     ]
-    relative = math.hypot(constants.relative_std, max(run_out.rounding for run_out in run_outs))
-    results = [mean_of(inertias, trials, "rotor_inertia", "kg*m^2", relative)]
+    relative_std = math.hypot(constants.relative_std, max(run_out.rounding for run_out in run_outs))
+    results = [mean_of(inertias, trials, "rotor_inertia", "kg*m^2", relative_std)]
     for index, (name, unit) in enumerate(DRAG_UNITS.items()):
-        values = [inertia * run_out.fit[index] for inertia, run_out in zip(inertias, run_outs, strict=True)]
-        results.append(mean_of(values, trials, name, unit, relative))
+        values = [inertia * run_out.coefficients[index] for inertia, run_out in zip(inertias, run_outs, strict=True)]
+        results.append(mean_of(values, trials, name, unit, relative_std))
     return results
 
 
 def run_outs_of(run: Run, number: int) -> Noted[list[RunOut]]:
-    """Return the usable run-outs of run `number`; notes say why others cannot be used."""
+    """Return the usable run-outs of a run, the `number`-th of all; notes say why others cannot be used."""
     run_outs: list[RunOut] = []
     left_out: dict[str, list[str]] = {}
     steps = run.steps
@@ -159,48 +160,57 @@ def run_outs_of(run: Run, number: int) -> Noted[list[RunOut]]:
 
 
 def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Channel) -> RunOut:
-    """Fit the run-out of one step `coast`, and take its speed and current from the hold before it.
+    """Return the fitted run-out of one step `coast`, with speed and current of the hold before it.
 
     Raises
     ------
     NotIdentifiable : the run-out cannot be used; the message is the reason.
     """
-    before = [hold for hold in VELOCITY_HOLDS.holds_of(run) if hold.stop <= step.start + 1e-9]
-    if not before:
+    holds_before = [hold for hold in VELOCITY_HOLDS.holds_of(run) if hold.stop <= step.start + 1e-9]
+    if not holds_before:
         raise NotIdentifiable("no held velocity before it")
-    speed, drive = (settled_mean(channel, before[-1].start, before[-1].stop) for channel in (velocity, current))
-    if speed is None or drive is None:
+    held_speed, held_current = (
+        settled_mean(channel, holds_before[-1].start, holds_before[-1].stop) for channel in (velocity, current)
+    )
+    if held_speed is None or held_current is None:
         raise NotIdentifiable("too little velocity or current in the hold before it")
-    if drive.value == 0.0:
+    if held_current.value == 0.0:
         raise NotIdentifiable("no current held the speed before it")
-    if abs(speed.value - before[-1].setpoint) > MOST_SPEED_ERROR * abs(before[-1].setpoint):
+    if abs(held_speed.value - holds_before[-1].setpoint) > MOST_SPEED_ERROR * abs(holds_before[-1].setpoint):
         raise NotIdentifiable("the velocity was not reached in the hold before it")
-    direction = 1 if speed.value > 0.0 else -1
+    direction = 1 if held_speed.value > 0.0 else -1
     coasting = samples_between(velocity, step.start + step.settle, step.stop)
-    time, along = velocity.time[coasting], direction * velocity.values[coasting]
-    usable = np.isfinite(along)
+    time, speed = velocity.time[coasting], direction * velocity.values[coasting]
+    usable = np.isfinite(speed)
     if run.has(ENABLED):
         enabled = run.channel(ENABLED)
-        is_on = (
+        drive_enabled = (
             np.interp(time, enabled.time, np.nan_to_num(enabled.values)) if len(enabled.time) else np.zeros(len(time))
         )
-        if (is_on > 0.0).mean() > 0.5:
+        if (drive_enabled > 0.0).mean() > 0.5:
             raise NotIdentifiable("the drive was on")
-        usable &= is_on == 0.0
-    slow = np.flatnonzero(along < SLOWEST_PART * abs(speed.value))
-    if len(slow):
-        usable[slow[0] :] = False
-    time, along = time[usable], along[usable]
+        usable &= drive_enabled == 0.0
+    slow_indices = np.flatnonzero(speed < SLOWEST_SHARE * abs(held_speed.value))
+    if len(slow_indices):
+        usable[slow_indices[0] :] = False
+    time, speed = time[usable], speed[usable]
     if len(time) < FEWEST_SAMPLES:
         raise NotIdentifiable(f"fewer than {FEWEST_SAMPLES} readings before the rotor stood: record faster")
-    if along.max() > (1.0 + MOST_ABOVE_HELD) * abs(speed.value):
+    if speed.max() > (1.0 + MOST_SPEED_EXCESS) * abs(held_speed.value):
         raise NotIdentifiable("the rotor was faster than in the hold before it")
-    fitted, fit = fit_of(time - time[0], along)
-    held_current = current.values[samples_between(current, before[-1].start, before[-1].stop)]
-    rounding = rounding_std(held_current, quantisation_step(current.values)) / abs(drive.value)
-    along_motion = direction * drive.value
+    fitted, coefficients = fit_of(time - time[0], speed)
+    current_readings = current.values[samples_between(current, holds_before[-1].start, holds_before[-1].stop)]
+    rounding = rounding_std(current_readings, quantisation_step(current.values)) / abs(held_current.value)
+    current_along_motion = direction * held_current.value
     run_out = RunOut(
-        TrialLabel(number, direction), abs(speed.value), along_motion, rounding, time - time[0], along, fitted, fit
+        TrialLabel(number, direction),
+        abs(held_speed.value),
+        current_along_motion,
+        rounding,
+        time - time[0],
+        speed,
+        fitted,
+        coefficients,
     )
     if run_out.deceleration <= 0.0:
         raise NotIdentifiable("the rotor did not slow down")
@@ -208,7 +218,7 @@ def run_out_of(run: Run, number: int, step: Step, velocity: Channel, current: Ch
 
 
 def fit_of(time: Array, speed: Array) -> tuple[Array, tuple[float, float, float]]:
-    """Return the fitted speed, shape (samples,), and the three coefficients of the deceleration."""
+    """Return the fitted speed [rad/s], shape (samples,), and the coefficients d, a and q of the deceleration."""
     design = np.column_stack([np.ones_like(time), -time, -integral(speed, time), -integral(speed**2, time)])
     fit = least_squares(design, speed, design, COAST)
     _, constant, linear, quadratic = fit.coefficients.tolist()
@@ -216,14 +226,17 @@ def fit_of(time: Array, speed: Array) -> tuple[Array, tuple[float, float, float]
 
 
 def integral(values: Array, time: Array) -> Array:
-    """Integrate by trapezoids with their first correction; without it, J is 0.02 % off in a run-out of 20 readings."""
+    """Return the integral over time up to each sample, by trapezoids with their first correction, shape (samples,).
+
+    Without the correction, J is 0.02 % off in a run-out of 20 readings.
+    """
     steps, slope = np.diff(time), np.gradient(values, time)
     areas = 0.5 * steps * (values[1:] + values[:-1]) - steps**2 / 12.0 * np.diff(slope)
     return np.concatenate([[0.0], np.cumsum(areas)])
 
 
 def plot_of(run_outs: Sequence[RunOut]) -> Plot:
-    """Plot the speed of every run-out over time, and the fit to the first run-out in each direction."""
+    """Return the plot of every run-out's speed over time, with the fit to the first run-out in each direction."""
     points, lines = [], []
     for label, direction in (("forward", 1), ("backward", -1)):
         same_side = [run_out for run_out in run_outs if run_out.trial.side == direction]

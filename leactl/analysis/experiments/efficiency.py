@@ -1,8 +1,8 @@
 """Efficiency over speed and torque: one actuator drives at a speed, the other is driven and opposes with a current.
 
-Paper, section "Efficiency": eta+ = tau w / (V i) of the one that drives, eta- = V i / (tau w) of the one that is
-driven, negative where its winding takes more heat than the shaft brings in. The mean is that of the points of the grid,
-each counting once, as in the paper; points that the bench did not hold have no value and are no part of it.
+Paper, section "Efficiency": eta+ = tau w / (V i) of the driving actuator, eta- = V i / (tau w) of the driven actuator,
+which is negative where its winding takes more heat than the shaft brings in. As in the paper, the mean is that of the
+points of the grid, each counting once; points that the bench did not hold have no value and do not count.
 """
 
 from collections.abc import Sequence
@@ -60,7 +60,7 @@ RESULTS = {
     "drives_loss": "W",
 }
 
-MEANS = {  # name of a result after `driving_` or `driven_`: attribute of `Balance`, and its unit
+MEANS = {  # attribute of `Balance` and its unit, by the name of a result after `driving_` or `driven_`
     "loss": ("loss", "W"),
     "loss_copper": ("copper", "W"),
     "loss_friction": ("friction", "W"),
@@ -85,8 +85,8 @@ def analyze(
 
     `driving_efficiency` and `driven_efficiency` (means over the grid), `_spread` (standard deviation over the grid),
     `_highest`, and, in W as means over the grid, `driving_loss`, `_loss_copper`, `_loss_friction`, `_power_electrical`,
-    `_power_mechanical`, and the same of `driven`; `driven_negative_share`, of the points at which efficiency is
-    negative. Those of the load actuator have `load_` before them. `drives_loss` [W] where the current of the DC link
+    `_power_mechanical`, and the same of `driven`; `driven_negative_share`, the share of points whose efficiency is
+    negative. Results of the load actuator begin with `load_`. `drives_loss` [W] where the current of the DC link
     is measured. Grids hold every point.
 
     Parameters
@@ -102,23 +102,24 @@ def analyze(
     Raises
     ------
     MissingChannel : a run has no torque, no velocity, or no current of either actuator.
-    NotIdentifiable : no hold of a grid, no point that was held, or neither voltages nor a resistance.
+    NotIdentifiable : no step holds a point of a grid, no point was reached, or there are neither voltages nor a
+        resistance.
     InputError : an uncertainty below zero, or readings whose signs contradict each other.
     """
     error_prefix = f"{paths_of(runs)}: efficiency"
     notes = setup_notes(runs, ("coupled",), "another machine has to drive or to be driven")
-    given = GivenParameters(phase_resistance, back_emf_constant, winding_temperature)
-    relative = {
+    given_parameters = GivenParameters(phase_resistance, back_emf_constant, winding_temperature)
+    relative_stds = {
         "resistance": resistance_std, "back_emf_constant": back_emf_constant_std, "torque_gain": torque_gain_std,
         "current_gain": current_gain_std, "voltage_gain": voltage_gain_std,
     }  # fmt: skip
-    gathered = gather_grid(runs)
-    known_parameters = calibration_of(runs, gathered.value, given, relative)
+    grid_points = gather_grid(runs)
+    known_parameters = calibration_of(runs, grid_points.value, given_parameters, relative_stds)
     calibration, stds = known_parameters.value
-    refuse_swapped_signs(gathered.value, error_prefix)
-    drifting = with_drift(gathered.value, runs, calibration)
-    points = drifting.value
-    notes += [*gathered.notes, *known_parameters.notes, *drifting.notes]
+    refuse_swapped_signs(grid_points.value, error_prefix)
+    drift_checked = with_drift(grid_points.value, runs, calibration)
+    points = drift_checked.value
+    notes += [*grid_points.notes, *known_parameters.notes, *drift_checked.notes]
     results: list[Estimate] = []
     grids: list[Grid] = []
     maps: list[MapMeans] = []
@@ -138,9 +139,9 @@ def analyze(
             notes += means.remarks(f"{role} {mode}")
     if not results:
         raise NotIdentifiable("\n".join([f"{error_prefix}: no point of the grid was held", *notes]))
-    drives = drives_loss(runs, points, calibration)
-    results += drives.value
-    notes += [*drives.notes, sources_of(stds)]
+    link_loss = drives_loss(runs, points, calibration)
+    results += link_loss.value
+    notes += [*link_loss.notes, sources_of(stds)]
     paths = tuple(str(run.path) for run in runs)
     plots = (speeds_and_torques(maps), currents_and_voltages(maps))
     return Result("efficiency", paths, tuple(results), tuple(notes), plots, grids=tuple(grids))

@@ -1,8 +1,8 @@
 """No-load loss up to full speed: the current that keeps a decoupled rotor turning, by how it grows with speed.
 
-f |w| is of Coulomb friction and of hysteresis in the iron, b w^2 of viscous friction and of eddy currents, c |w|^3 of
-air (drag.py). Speed alone tells no more: friction and iron are told apart where the drag of the same rotor without its
-magnets, or in a stator without iron, is known from a run of its own and given.
+The loss f |w| is that of Coulomb friction and of hysteresis in the iron, b w^2 that of viscous friction and of eddy
+currents, c |w|^3 that of air (drag.py). The speed alone does not separate friction from iron: that takes the drag of
+the same rotor without its magnets, or in a stator without iron, which is measured in another run and given.
 """
 
 import math
@@ -45,8 +45,9 @@ RESULTS = {
 
 CURRENT = "q_axis_current"
 VELOCITY_HOLDS = HoldSelector("velocity_rad_s", "rad/s")
+# drag coefficient that an iron loss is a part of, by the name of the loss
 DRAG_OF_IRON_LOSS = {"hysteresis_torque": "coulomb_friction", "eddy_damping": "viscous_damping"}
-LINE_POINTS = 40  # speeds of a line in the figure
+LINE_POINTS = 40  # of a fitted line in the figure
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ def analyze(
     mechanical_damping: float | None = None,
     mechanical_damping_std: float | None = None,
 ) -> Result:
-    """Estimate drag over speed and the loss at full speed; iron is told from friction where friction alone is given.
+    """Estimate drag over speed and the loss at full speed; with friction alone given, also the losses in the iron.
 
     `viscous_damping` [N*m*s/rad], `coulomb_friction` [N*m] and `quadratic_drag` [N*m*s^2/rad^2], iron included;
     `full_speed` [rad/s] and `no_load_loss` [W] there; `hysteresis_torque` [N*m] and `eddy_damping` [N*m*s/rad]. Where
@@ -95,12 +96,12 @@ def analyze(
     }
     constants = torque_constants(runs, torque_constant, torque_constant_std, current_gain_std)
     notes = setup_notes(runs, ("free",), "losses of whatever else is on the shaft are counted in")
-    gathered = gather_means(
+    hold_means = gather_means(
         runs, (VELOCITY, CURRENT), partial(usable_channel, hold_selector=VELOCITY_HOLDS), VELOCITY_HOLDS
     )
-    turning = holds_at_setpoint(runs, gathered.value, error_prefix)
-    levels = turning.value
-    notes += [*gathered.notes, *turning.notes]
+    steady_levels = holds_at_setpoint(runs, hold_means.value, error_prefix)
+    levels = steady_levels.value
+    notes += [*hold_means.notes, *steady_levels.notes]
     torque = constants.values[levels.run_index] * levels.means[CURRENT]
     line = fit_drag(levels, torque, error_prefix)
     notes += [
@@ -123,11 +124,11 @@ def analyze(
 
 
 def known_friction(name: str, value: float | None, std: float | None) -> FrictionAlone | None:
-    """Return the given drag coefficient of friction alone; None where none is given.
+    """Return the given drag coefficient of friction alone; None if it is not given.
 
     Raises
     ------
-    InputError : a negative number, or an uncertainty without a value.
+    InputError : a number that is negative or not finite, or an uncertainty without a value.
     """
     if value is None and std is None:
         return None
@@ -140,46 +141,48 @@ def known_friction(name: str, value: float | None, std: float | None) -> Frictio
 
 
 def estimate_iron_losses(drag: Sequence[Estimate], friction: dict[str, FrictionAlone | None]) -> Noted[list[Estimate]]:
-    """Estimate hysteresis torque and eddy damping: coefficients of the drag less those of friction alone.
+    """Estimate hysteresis torque and eddy damping: coefficients of the drag minus those of friction alone.
 
-    Where the friction is not known, the value is NaN and the interval reaches from zero to all of the drag.
+    If the friction alone is not known, the value is NaN and the interval reaches from zero to all of the drag.
     """
     by_name = {estimate.name: estimate for estimate in drag}
-    losses, unknown, notes = [], [], []
-    for name, shared in DRAG_OF_IRON_LOSS.items():
-        total, known = by_name[shared], friction[shared]
-        if known is None:
-            unknown.append(name)
-            losses.append(Estimate(name, NAN, NAN, 0.0, max(total.high, 0.0), total.units))
+    losses, unknown_losses, notes = [], [], []
+    for name, coefficient_name in DRAG_OF_IRON_LOSS.items():
+        drag_coefficient, friction_alone = by_name[coefficient_name], friction[coefficient_name]
+        if friction_alone is None:
+            unknown_losses.append(name)
+            losses.append(Estimate(name, NAN, NAN, 0.0, max(drag_coefficient.high, 0.0), drag_coefficient.units))
             continue
-        half = math.hypot(total.high - total.value, t_quantile(math.inf) * known.std)
-        value = total.value - known.value
-        std = math.hypot(total.std, known.std)
-        losses.append(Estimate(name, value, std, value - half, value + half, total.units))
-        if value + half < 0.0:
+        half_width = math.hypot(
+            drag_coefficient.high - drag_coefficient.value, t_quantile(math.inf) * friction_alone.std
+        )
+        value = drag_coefficient.value - friction_alone.value
+        std = math.hypot(drag_coefficient.std, friction_alone.std)
+        losses.append(Estimate(name, value, std, value - half_width, value + half_width, drag_coefficient.units))
+        if value + half_width < 0.0:
             notes.append(f"{name} is below zero: the friction that is given is more than all of the drag")
-    if unknown:
+    if unknown_losses:
         notes.append(
-            f"{' and '.join(unknown)}: not identifiable from the speed alone, anything from zero to all of the drag;"
-            " give mechanical_friction and mechanical_damping of the rotor without iron loss"
+            f"{' and '.join(unknown_losses)}: not identifiable from the speed alone, anything from zero to all of the"
+            " drag; give mechanical_friction and mechanical_damping of the rotor without iron loss"
         )
     return Noted(losses, tuple(notes))
 
 
 def plot_of(levels: HoldMeans, torque: Array, line: LineFit) -> Plot:
-    """Plot the loss over speed, by direction, and the fit with its three parts on top of each other."""
+    """Return the plot of the loss over speed, by direction, and of the fit as the running sum of its three parts."""
     velocity = levels.means[VELOCITY]
-    shown = (torque - intercepts_by_hold(line) if turned_both_ways(levels) else torque) * velocity
-    points = points_by_direction(velocity, shown)
+    losses = (torque - intercepts_by_hold(line) if turned_both_ways(levels) else torque) * velocity
+    points = points_by_direction(velocity, losses)
     speeds = np.linspace(0.0, float(np.max(np.abs(velocity))), LINE_POINTS)
-    friction = weights_at(line, 0.0) @ line.fit.coefficients * speeds
+    friction_loss = weights_at(line, 0.0) @ line.fit.coefficients * speeds
     lines = (
         Series("all", tuple(speeds.tolist()), tuple((drag_at(line.fit, line, speeds) * speeds).tolist())),
-        Series("Coulomb, hysteresis", tuple(speeds.tolist()), tuple(friction.tolist())),
+        Series("Coulomb, hysteresis", tuple(speeds.tolist()), tuple(friction_loss.tolist())),
         Series(
             "and viscous, eddy currents",
             tuple(speeds.tolist()),
-            tuple((friction + line.slope("viscous_damping") * speeds**2).tolist()),
+            tuple((friction_loss + line.slope("viscous_damping") * speeds**2).tolist()),
         ),
     )
     return Plot("speed [rad/s]", "no-load loss [W]", points, lines)

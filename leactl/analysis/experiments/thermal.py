@@ -2,8 +2,8 @@
 
 Paper, section "Thermal Dynamics". Cw dTw/dt = Q - (Tw - Ta)/Rwa - (Tw - Th)/Rwh, Ch dTh/dt = (Tw - Th)/Rwh -
 (Th - Ta)/Rha with Q the voltage between the leads times the current. Readings of the supply are joined by straight
-lines, or hold over the interval where a channel says that they are means, and the network is solved exactly between.
-The joint covariance has calibration in common to network and resistance; noise and drift count in each by itself.
+lines, or hold over the interval if a channel says that they are means, and the network is solved exactly between them.
+In the joint covariance, network and resistance share the errors of calibration; noise and drift are separate.
 """
 
 import math
@@ -78,8 +78,8 @@ RESULTS = {
     "peak_current_300s_standing": "A",
 }
 
-MOST_LEFT_OUT = 0.01  # of the frames; a note names a larger share
-PAPER_WINDING_LIMIT = 130.0  # degC, for a model that states none
+MOST_LEFT_OUT_SHARE = 0.01  # of the fitted frames; a note names a larger share
+PAPER_WINDING_LIMIT = 130.0  # degC, for a model that states no limit
 
 
 def analyze(
@@ -93,7 +93,7 @@ def analyze(
     winding_limit: float | None = None,
     ambient: float = 25.0,
 ) -> Result:
-    """Fit the two-node network and the resistance of the winding, and say what the actuator can carry by them.
+    """Fit the two-node network and the winding's resistance, and estimate the currents that the actuator can carry.
 
     Resistances [K/W] and capacitances [J/K] of the network, their combination `parallel_thermal_resistance` Rwa ||
     (Rwh + Rha), resistance at 25 degC and its coefficient, residuals against noise, the change in the last 30 minutes
@@ -106,22 +106,22 @@ def analyze(
     camera_offset_std : [K], standard uncertainty of the camera's zero; 1 K is half of the +-2 K of a thermal camera.
     camera_gain_std : relative, of the rise that it shows; 0.01 is half of its +-2 %.
     voltage_gain_std, current_gain_std : relative, of the supply's readings; by default those of the channels.
-    camera_lag : [s], how late the camera's clock is by the supply's; estimated by default.
-    winding_limit : [degC], for the currents; by default that of the run's model, else the paper's 130.
-    ambient : [degC], for the currents.
+    camera_lag : [s], by which the camera's clock is behind the supply's; estimated by default.
+    winding_limit : [degC], up to which the currents may heat; by default that of the run's model, else the paper's 130.
+    ambient : [degC], from which the currents heat.
 
     Raises
     ------
     MissingChannel : a run lacks the temperatures of winding or housing, line current or line voltage.
-    NotIdentifiable : no current, or no network of two bodies follows what was seen.
+    NotIdentifiable : no current flows, or no network of two bodies follows the temperatures.
     InputError : temperatures in kelvin, a resistance below zero, or an option out of range.
     """
     error_prefix = f"{paths_of(runs)}: thermal"
-    supply = [
-        gain_std(runs, name, given)
-        for name, given in (("line_voltage", voltage_gain_std), ("line_current", current_gain_std))
+    supply_gains = [
+        gain_std(runs, name, given_std)
+        for name, given_std in (("line_voltage", voltage_gain_std), ("line_current", current_gain_std))
     ]
-    instruments = Instruments(camera_offset_std, camera_gain_std, *supply)
+    instruments = Instruments(camera_offset_std, camera_gain_std, *supply_gains)
     refuse_options(
         {**asdict(instruments), "camera_lag": camera_lag, "ambient": ambient, "winding_limit": winding_limit}
     )
@@ -137,16 +137,16 @@ def analyze(
     notes += [*phase_to_line_ratio.notes, *records.notes]
     fit = fit_network(records.value, Unknowns(camera_offset_std, camera_lag), error_prefix)
     fitted_frames = sum(len(record.time) for record in fit.records)
-    left_out = sum(frame_count(run) for run in runs) - fitted_frames
-    if left_out > MOST_LEFT_OUT * fitted_frames:
-        notes.append(f"left out {left_out} frames at which the supply was not recorded")
-    spread = uncertainty(fit, camera_offset_std)
+    frames_left_out = sum(frame_count(run) for run in runs) - fitted_frames
+    if frames_left_out > MOST_LEFT_OUT_SHARE * fitted_frames:
+        notes.append(f"left out {frames_left_out} frames at which the supply was not recorded")
+    fit_uncertainty = uncertainty(fit, camera_offset_std)
     line = resistance_line(fit, error_prefix)
     ambients = [float(np.mean(record.ambient)) for record in fit.records if record.ambient is not None]
-    widened = widened_by_offset(instruments, fit)
-    instruments = widened.value
+    widened_instruments = widened_by_offset(instruments, fit)
+    instruments = widened_instruments.value
     parameters = thermal_parameters(
-        fit, spread, line, instruments, float(np.mean(ambients)) if ambients else REFERENCE_TEMPERATURE
+        fit, fit_uncertainty, line, instruments, float(np.mean(ambients)) if ambients else REFERENCE_TEMPERATURE
     )
 
     time_constants = slow_constants_seen(fit)
@@ -154,13 +154,13 @@ def analyze(
         [
             network_results(parameters, time_constants),
             resistance_results(parameters, line, phase_to_line_ratio.value),
-            residual_results(fit, spread),
+            residual_results(fit, fit_uncertainty),
             steadiness(fit.records),
-            camera_results(fit, spread, camera_offset_std),
+            camera_results(fit, fit_uncertainty, camera_offset_std),
         ]
     )
     results = estimates.value
-    notes += [*widened.notes, *estimates.notes]
+    notes += [*widened_instruments.notes, *estimates.notes]
     notes[:0] = unit_notes(
         runs,
         [estimate for estimate in results if estimate.name == "phase_resistance"],
@@ -185,27 +185,30 @@ def analyze(
 
 
 def widened_by_offset(instruments: Instruments, fit: NetworkFit) -> Noted[Instruments]:
-    """Widen the camera's uncertainties to the largest offset fitted against the ambient sensor, if it is clear."""
+    """Return the instruments with the camera's uncertainties widened to its largest fitted offset.
+
+    Only an offset from the ambient sensor of more than `REPORTED_STDS` standard uncertainties widens them.
+    """
     offsets = [
         abs(float(fit.point[parameter_index]))
-        for index in range(len(fit.records))
+        for record_number in range(len(fit.records))
         for name in ("offset_winding", "offset_housing")
-        if (parameter_index := fit.index_of(index, name)) is not None
+        if (parameter_index := fit.index_of(record_number, name)) is not None
     ]
-    worst = max(offsets, default=0.0)
-    if worst <= REPORTED_STDS * instruments.camera_offset:
+    worst_offset = max(offsets, default=0.0)
+    if worst_offset <= REPORTED_STDS * instruments.camera_offset:
         return Noted(instruments)
     rise = max(float(np.nanmax(record.winding) - np.nanmin(record.winding)) for record in fit.records)
-    camera_gain = math.hypot(instruments.camera_gain, worst / rise)
+    camera_gain = math.hypot(instruments.camera_gain, worst_offset / rise)
     note = (
-        f"the camera is {worst:.1f} K off the sensor of the air: its uncertainty is taken as that much in place of"
-        f" {instruments.camera_offset:g} K, and as {camera_gain:.1%} of the rise"
+        f"the camera is {worst_offset:.1f} K off the sensor of the air: its uncertainty is taken as that much in place"
+        f" of {instruments.camera_offset:g} K, and as {camera_gain:.1%} of the rise"
     )
-    return Noted(replace(instruments, camera_offset=worst, camera_gain=camera_gain), (note,))
+    return Noted(replace(instruments, camera_offset=worst_offset, camera_gain=camera_gain), (note,))
 
 
 def refuse_options(options: Mapping[str, float | None]) -> None:
-    """Refuse what is no number, and uncertainties below zero."""
+    """Raise InputError if an option is not finite, or an uncertainty is below zero."""
     for name, value in options.items():
         if value is not None and not math.isfinite(value):
             raise InputError(f"{name}: {value} is no number")
@@ -214,7 +217,7 @@ def refuse_options(options: Mapping[str, float | None]) -> None:
 
 
 def limit_of(model: Mapping[str, Any]) -> float:
-    """Return the winding's limit [degC] of a model, or the paper's where it has none."""
+    """Return the temperature limit of a model's winding [degC]; that of the paper if the model has none."""
     limits = model.get("limits")
     limit = limits.get("winding_temperature") if isinstance(limits, Mapping) else None
     return float(limit) if isinstance(limit, int | float) and not isinstance(limit, bool) else PAPER_WINDING_LIMIT

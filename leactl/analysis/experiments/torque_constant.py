@@ -1,9 +1,9 @@
 """Torque constant: slope of shaft torque over q-axis current while the load actuator holds position.
 
-Paper, section "Torque Constant". A rotor at rest sticks: friction carries up to its own torque past the sensor. Where
-each level is reached from one side throughout, what it carries is the same for all rising levels and opposite for all
-falling ones, so that torque = Kt i + c + s d with d = 1 rising and d = -1 falling. A line through the origin would take
-s for torque constant, 2 to 3 % of it on the LEA.
+Paper, section "Torque Constant". A rotor at rest sticks: friction carries up to the friction torque past the sensor. If
+each level is reached from one side throughout, the torque s that it carries is the same for all rising levels and
+opposite for all falling levels, so that torque = Kt i + c + s d with d = 1 rising and d = -1 falling. A line through
+the origin would count s as torque of the current: on the LEA, that is 2 to 3 % of the torque constant.
 """
 
 import math
@@ -40,10 +40,10 @@ SIDES = {"rising": 1, "falling": -1}
 def analyze(
     runs: Sequence[Run], *, torque_gain_std: float | None = None, current_gain_std: float | None = None
 ) -> Result:
-    """Fit shaft torque over q-axis current, levels reached from below and from above apart by the sticking torque.
+    """Fit shaft torque over q-axis current; the sticking torque separates levels reached from below and from above.
 
-    `torque_constant` [N*m/A], `sticking_torque` [N*m] (half the way between rising and falling levels), `offset` [N*m]
-    (mean over the runs), `r_squared`, and `torque_constant_rising` and `_falling`, each from a line of its own.
+    `torque_constant` [N*m/A], `sticking_torque` [N*m] (half the difference of rising and falling levels), `offset`
+    [N*m] (mean over the runs), `r_squared`, and `torque_constant_rising` and `_falling`, each from a line of its own.
 
     Parameters
     ----------
@@ -61,10 +61,10 @@ def analyze(
     notes = setup_notes(runs, ("coupled", "locked"), "a shaft that turns takes torque past the sensor")
     torque_std = gain_std(runs, TORQUE, torque_gain_std)
     current_std = gain_std(runs, CURRENT, current_gain_std)
-    both_stds = math.hypot(torque_std, current_std)
-    gathered = torque_levels(runs, error_prefix)
-    levels = gathered.value
-    notes += gathered.notes
+    constant_std = math.hypot(torque_std, current_std)
+    usable_levels = torque_levels(runs, error_prefix)
+    levels = usable_levels.value
+    notes += usable_levels.notes
     current, torque = levels.means[CURRENT], levels.means[TORQUE]
 
     columns = {"torque_constant": current}
@@ -76,18 +76,20 @@ def analyze(
             "all levels were reached from one side, or no side is stated: sticking friction is part of the offset"
         )
     line = fit_lines(columns, torque, levels, error_prefix)
-    expected = np.hypot(levels.standard_errors[TORQUE], line.slope("torque_constant") * levels.standard_errors[CURRENT])
+    expected_scatter = np.hypot(
+        levels.standard_errors[TORQUE], line.slope("torque_constant") * levels.standard_errors[CURRENT]
+    )
     unit = levels.units[TORQUE]
-    notes += fit_notes(line, expected, unit)
+    notes += fit_notes(line, expected_scatter, unit)
     notes += [f"{run.path}: {note}" for run in runs for note in convention_notes(run, line.slope("torque_constant"))]
     notes += calibration_notes({"torque": torque_std, "current": current_std}, "the torque constants")
 
-    results = [line.estimate("torque_constant", "torque_constant", f"{unit}/A", both_stds)]
+    results = [line.estimate("torque_constant", "torque_constant", f"{unit}/A", constant_std)]
     refuse_below_zero(results[0], error_prefix, "torque and current")
     if both_sides:
-        single_sides = slopes_by_side(levels, error_prefix, both_stds)
-        results += single_sides.value
-        notes += single_sides.notes
+        side_slopes = slopes_by_side(levels, error_prefix, constant_std)
+        results += side_slopes.value
+        notes += side_slopes.notes
         results.append(magnitude(line.estimate("sticking_torque", "sticking_torque", unit, torque_std)))
     results.append(line.fit.estimate("offset", unit, line.mean_intercept, torque_std))
     results.append(Estimate("r_squared", line.fit.r_squared, NAN, NAN, NAN, "1"))
@@ -97,56 +99,56 @@ def analyze(
 
 
 def convention_notes(run: Run, torque_constant: float) -> list[str]:
-    """Return a note where torque constant and model differ by the factor of a wrong convention of current."""
+    """Return a note if torque constant and model differ by the factor of a wrong convention of current."""
     try:
         ratio = torque_constant / torque_constant_of_model(run)
-    except InputError:  # a foreign run may carry none, or none that can be read
+    except InputError:  # a foreign run may carry no model, or none that can be read
         return []
     reason = reason_for_torque_constant(ratio)
     return [f"the torque constant is {ratio:.3f} times that of the model in the run: {reason}"] if reason else []
 
 
 def torque_levels(runs: Sequence[Run], error_prefix: str) -> Noted[HoldMeans]:
-    """Return the mean current and torque of the usable holds; notes name the others.
+    """Return the mean current and torque of the usable holds; notes name the other holds.
 
     Raises
     ------
     MissingChannel : a run has no torque or no q-axis current of the test actuator.
     NotIdentifiable : fewer than two distinct levels of current.
     """
-    gathered = gather_means(runs, (CURRENT, TORQUE), usable_channel)
-    directed = with_direction(gathered.value)
-    levels = directed.value
+    hold_means = gather_means(runs, (CURRENT, TORQUE), usable_channel)
+    directed_holds = with_direction(hold_means.value)
+    levels = directed_holds.value
     require_levels(error_prefix, "current", CURRENT, levels)
-    return Noted(levels, (*gathered.notes, *directed.notes))
+    return Noted(levels, (*hold_means.notes, *directed_holds.notes))
 
 
 def with_direction(levels: HoldMeans) -> Noted[HoldMeans]:
-    """Leave out holds without a direction where other holds have one; a note names them."""
-    undirected = levels.direction == 0
-    if not undirected.any() or undirected.all():
+    """Return the holds with a direction, or all if no hold has one; a note names those that are left out."""
+    is_undirected = levels.direction == 0
+    if not is_undirected.any() or is_undirected.all():
         return Noted(levels)
-    left_out = [hold for hold, drop in zip(levels.holds, undirected, strict=True) if drop]
+    left_out = [hold for hold, lacks in zip(levels.holds, is_undirected, strict=True) if lacks]
     note = f"left out {len(left_out)}: no direction, where other holds have one ({listed(left_out)})"
-    return Noted(levels.where(~undirected), (note,))
+    return Noted(levels.where(~is_undirected), (note,))
 
 
 def magnitude(signed: Estimate) -> Estimate:
-    """Return the size of a torque whose sign is a convention; an interval around zero begins at zero."""
-    ends = sorted((abs(signed.low), abs(signed.high)))
-    low = 0.0 if signed.low <= 0.0 <= signed.high else ends[0]
-    return Estimate(signed.name, abs(signed.value), signed.std, low, ends[1], signed.units)
+    """Return the magnitude of a torque whose sign is a convention; an interval around zero then begins at zero."""
+    magnitudes = sorted((abs(signed.low), abs(signed.high)))
+    low = 0.0 if signed.low <= 0.0 <= signed.high else magnitudes[0]
+    return Estimate(signed.name, abs(signed.value), signed.std, low, magnitudes[1], signed.units)
 
 
 def slopes_by_side(levels: HoldMeans, error_prefix: str, relative_std: float) -> Noted[list[Estimate]]:
-    """Estimate the slopes of the rising and of the falling levels alone; a note says which have too few levels."""
+    """Estimate the slopes of the rising and of the falling levels alone; a note says why a side gives no slope."""
     slopes, notes = [], []
     for name, sign in SIDES.items():
-        side = levels.where(levels.direction == sign)
-        columns = {"slope": side.means[CURRENT]}
+        side_levels = levels.where(levels.direction == sign)
+        columns = {"slope": side_levels.means[CURRENT]}
         try:
-            require_levels(error_prefix, "current", CURRENT, side)
-            line = fit_lines(columns, side.means[TORQUE], side, error_prefix)
+            require_levels(error_prefix, "current", CURRENT, side_levels)
+            line = fit_lines(columns, side_levels.means[TORQUE], side_levels, error_prefix)
         except NotIdentifiable as fault:
             notes.append(f"{name} levels alone give no slope: {str(fault).removeprefix(error_prefix + ': ')}")
             continue
@@ -156,23 +158,27 @@ def slopes_by_side(levels: HoldMeans, error_prefix: str, relative_std: float) ->
 
 
 def intercepts_by_hold(line: LineFit) -> Array:
-    """Return the fitted intercept of each hold's run, shape (holds,)."""
-    runs = line.levels.run_index
-    return np.asarray(line.fit.coefficients[len(line.slopes) :][np.searchsorted(np.unique(runs), runs)])
+    """Return the fitted intercept of each hold's run, in the unit of the fitted values, shape (holds,)."""
+    run_index = line.levels.run_index
+    return np.asarray(line.fit.coefficients[len(line.slopes) :][np.searchsorted(np.unique(run_index), run_index)])
 
 
 def plot_of(levels: HoldMeans, line: LineFit) -> Plot:
-    """Plot the mean torque of each hold by direction, without the offset of its run, and the fitted lines."""
+    """Return the plot of each hold's mean torque by direction, at the runs' mean offset, and of the fitted lines."""
     current, torque = levels.means[CURRENT], levels.means[TORQUE]
-    mean = float(np.mean(line.fit.coefficients[len(line.slopes) :]))
-    shown: Array = torque - intercepts_by_hold(line) + mean
+    mean_intercept = float(np.mean(line.fit.coefficients[len(line.slopes) :]))
+    torque_at_mean_offset: Array = torque - intercepts_by_hold(line) + mean_intercept
     points, lines = [], []
     for label, sign in {**SIDES, "levels": 0}.items():
         on_side = levels.direction == sign
         if on_side.any():
-            points.append(Series(label, tuple(current[on_side].tolist()), tuple(shown[on_side].tolist())))
-            ends = np.array([current[on_side].min(), current[on_side].max()])
+            points.append(
+                Series(label, tuple(current[on_side].tolist()), tuple(torque_at_mean_offset[on_side].tolist()))
+            )
+            end_currents = np.array([current[on_side].min(), current[on_side].max()])
             slopes = dict(zip(line.slopes, line.fit.coefficients, strict=False))
-            fitted = slopes["torque_constant"] * ends + sign * slopes.get("sticking_torque", 0.0) + mean
-            lines.append(Series(label, tuple(ends.tolist()), tuple(fitted.tolist())))
+            fitted = (
+                slopes["torque_constant"] * end_currents + sign * slopes.get("sticking_torque", 0.0) + mean_intercept
+            )
+            lines.append(Series(label, tuple(end_currents.tolist()), tuple(fitted.tolist())))
     return Plot("q-axis current [A]", f"torque [{levels.units[TORQUE]}]", tuple(points), tuple(lines))

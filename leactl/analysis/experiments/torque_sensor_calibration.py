@@ -1,10 +1,10 @@
 """Calibration of the torque sensor by dead weights on an arm, with an uncertainty budget (GUM, JCGM 100:2008).
 
-reading = S m g l + zero: what the weights do is known but for mass, gravity and arm, so S is the factor by which the
-bench's scale is off. The zero may drift along a straight line: weights of one sense all come before those of the other,
-and a drift would be taken for a part of S. What a straight line does not tell is a part of the budget each: type A from
-the scatter of repeats, type B as a rectangle of half the width that was seen (GUM, 4.3.7). The coverage factor is by
-Welch and Satterthwaite.
+The model is reading = S m g l + zero. The torque of the weights is known but for the errors of mass, gravity and arm,
+so S is the factor by which the bench's scale is off. The zero may drift along a straight line: all weights of one sense
+come before those of the other, so that a drift would else count as a part of S. Each departure from a straight line is
+a component of the budget: type A from the scatter of repeats, type B as a rectangle of half the observed width (GUM,
+4.3.7). The coverage factor follows Welch and Satterthwaite.
 """
 
 import math
@@ -41,34 +41,34 @@ RESULTS = {
 }
 
 WEIGHT_HOLDS = HoldSelector("weight_Nm", "N*m", "bench")
-GRAVITY_OF_HOLDS = 9.80665  # m/s^2, by which the torques of the holds were worked out
-GRAVITY_WITHIN = 0.026  # m/s^2: 9.780 at the equator to 9.832 at the poles
+GRAVITY_OF_HOLDS = 9.80665  # m/s^2, from which the torques of the holds were computed
+GRAVITY_HALF_RANGE = 0.026  # m/s^2: 9.780 at the equator to 9.832 at the poles
 MASS_STD = 5e-4 / math.sqrt(3.0)  # relative: OIML R 111, class M3
-ARM_STD_M = 0.2e-3 / math.sqrt(3.0)  # a drawing's tolerance
-FEWEST_WEIGHTS = 3
+ARM_STD_M = 0.2e-3 / math.sqrt(3.0)  # from a drawing's tolerance of 0.2 mm
+FEWEST_WEIGHTS = 3  # distinct torques: one more than a straight line needs
 HYSTERESIS_COLUMN = "hysteresis"
-FOLLOWING_STANDARD_ERRORS = 10.0  # by which the sensitivity must differ from zero
-MOST_FACTOR_ERROR = 0.005  # off one; a note says how to mend a larger one
-MOST_SWING = 0.002  # of the highest torque, by which the quarters of a hold may differ
+FOLLOWING_STANDARD_ERRORS = 10.0  # a sensitivity of fewer does not count as following the weights
+MOST_FACTOR_ERROR = 0.005  # difference of the factor from one; a note says how to mend a larger one
+MOST_SWING = 0.002  # of the highest torque; a weight swung if the quarters of its hold differ by more
 
 
 @dataclass(frozen=True)
 class ReferenceTorque:
-    """The true torque of the weights over the one that the holds state, and its uncertainty."""
+    """The true torque of the weights over the torque that the holds state, and its uncertainty."""
 
     factor: float  # local gravity over `GRAVITY_OF_HOLDS`
-    relative_std: float  # of mass, arm and a given gravity
-    within: float  # relative half width of the range of a gravity that is not given; 0 for a given one
+    relative_std: float  # by mass, arm and a given gravity
+    half_range: float  # relative half width of the range of a gravity that is not given; 0 for a given gravity
 
     @property
-    def whole_std(self) -> float:
+    def total_std(self) -> float:
         """Return the relative standard uncertainty of the weights' torque."""
-        return math.hypot(self.relative_std, self.within / math.sqrt(3.0))
+        return math.hypot(self.relative_std, self.half_range / math.sqrt(3.0))
 
 
 @dataclass(frozen=True)
 class BudgetComponent:
-    """One part of the budget: its standard uncertainty [N*m] at the highest torque, and its degrees of freedom."""
+    """One component of the budget: its standard uncertainty [N*m] at the highest torque, and its degrees of freedom."""
 
     name: str
     std: float
@@ -83,9 +83,9 @@ def analyze(
     mass_relative_std: float | None = None,
     arm_std_m: float | None = None,
 ) -> Result:
-    """Estimate the factor and the zero by which the bench's torque is off, and the budget of a torque measured with it.
+    """Estimate the factor and the zero by which the bench's torque is off, and the uncertainty of a measured torque.
 
-    `sensitivity` (reading over torque), `zero` [N*m] halfway through the run, `highest_torque` [N*m] that weights made;
+    `sensitivity` (reading over torque), `zero` [N*m] halfway through the run, `highest_torque` [N*m] of the weights;
     standard uncertainties there [N*m]: `uncertainty_repeatability`, `_sensitivity`, `_linearity`, `_hysteresis`,
     `_resolution`, `_zero_drift`, `_reference`; `combined_uncertainty` [N*m], `coverage_factor`, `expanded_uncertainty`
     [N*m] at 95 %.
@@ -100,15 +100,15 @@ def analyze(
     Raises
     ------
     MissingChannel : a run has no torque.
-    NotIdentifiable : fewer than three weights, or a sensor that does not follow them.
+    NotIdentifiable : fewer than three torques of weights, no arm length, or a sensor that does not follow the weights.
     InputError : see `reference_of`.
     """
     error_prefix = f"{paths_of(runs)}: torque sensor calibration"
-    weighed = reference_of(runs, gravity, gravity_std, mass_relative_std, arm_std_m)
-    reference = weighed.value
-    gathered = gather_means(runs, (TORQUE,), partial(usable_channel, hold_selector=WEIGHT_HOLDS), WEIGHT_HOLDS)
-    levels = gathered.value
-    notes = [*weighed.notes, *gathered.notes]
+    reference_torque = reference_of(runs, gravity, gravity_std, mass_relative_std, arm_std_m)
+    reference = reference_torque.value
+    hold_means = gather_means(runs, (TORQUE,), partial(usable_channel, hold_selector=WEIGHT_HOLDS), WEIGHT_HOLDS)
+    levels = hold_means.value
+    notes = [*reference_torque.notes, *hold_means.notes]
     weights = np.unique(np.round(levels.setpoint, 9))
     if len(weights) < FEWEST_WEIGHTS:
         raise NotIdentifiable(
@@ -118,23 +118,23 @@ def analyze(
     applied = levels.setpoint * reference.factor
     line = fit_readings(applied, levels, error_prefix)
     factor = line.slope("sensitivity")
-    highest = float(np.max(np.abs(applied)))
+    highest_torque = float(np.max(np.abs(applied)))
     notes += fit_notes(line, levels.standard_errors[TORQUE], "N*m")
     factor_std = line.estimate("sensitivity", "sensitivity", "1").std
     if abs(factor) < FOLLOWING_STANDARD_ERRORS * factor_std:
         raise NotIdentifiable(
-            f"{error_prefix}: the readings do not follow the weights: {factor:.2g} of {highest:.3g} N*m is seen"
+            f"{error_prefix}: the readings do not follow the weights: {factor:.2g} of {highest_torque:.3g} N*m is seen"
         )
-    notes += owner_notes(line, levels, factor, highest)
-    measured = budget(runs, levels, line, factor_std, highest)
-    parts = [*measured.value, BudgetComponent("reference", highest * reference.whole_std)]
-    notes += measured.notes
+    notes += owner_notes(line, levels, factor, highest_torque)
+    reading_components = budget(runs, levels, line, factor_std, highest_torque)
+    components = [*reading_components.value, BudgetComponent("reference", highest_torque * reference.total_std)]
+    notes += reading_components.notes
     results = [
         sensitivity(line, reference),
         line.fit.estimate("zero", "N*m", line.mean_intercept),
-        Estimate("highest_torque", highest, NAN, NAN, NAN, "N*m"),
-        *(Estimate(f"uncertainty_{part.name}", part.std, NAN, NAN, NAN, "N*m") for part in parts),
-        *combined_estimates(parts),
+        Estimate("highest_torque", highest_torque, NAN, NAN, NAN, "N*m"),
+        *(Estimate(f"uncertainty_{component.name}", component.std, NAN, NAN, NAN, "N*m") for component in components),
+        *combined_estimates(components),
     ]
     paths = tuple(str(run.path) for run in runs)
     return Result("torque-sensor-calibration", paths, tuple(results), tuple(notes), (plot_of(levels, line, applied),))
@@ -147,11 +147,11 @@ def reference_of(
     mass_relative_std: float | None,
     arm_std_m: float | None,
 ) -> Noted[ReferenceTorque]:
-    """Return factor and uncertainty of the weights' torque; a note names the defaults taken for what is not given.
+    """Return factor and uncertainty of the weights' torque; a note names the defaults of options that are not given.
 
     Raises
     ------
-    NotIdentifiable : no hold has the length of its arm.
+    NotIdentifiable : no hold states the length of its arm, or a length is not above zero.
     InputError : a gravity outside 9.7 to 9.9 m/s^2, or a negative uncertainty.
     """
     if gravity is not None and not 9.7 < gravity < 9.9:
@@ -163,33 +163,39 @@ def reference_of(
     arms = {float(arm) for run in runs for step in run.steps if (arm := step.parameters.get("arm_m")) is not None}
     if not arms or min(arms) <= 0.0:
         raise NotIdentifiable(f"{paths_of(runs)}: no hold states the arm of its weights (arm_m)")
-    somewhere = gravity is None and gravity_std is None
+    is_gravity_unknown = gravity is None and gravity_std is None
     defaults = {
-        "gravity_std": GRAVITY_WITHIN / math.sqrt(3.0) if somewhere else 0.0,
+        "gravity_std": GRAVITY_HALF_RANGE / math.sqrt(3.0) if is_gravity_unknown else 0.0,
         "mass_relative_std": MASS_STD,
         "arm_std_m": ARM_STD_M,
     }
-    lacking = [f"{name} {defaults[name]:.2g}" for name, number in stds.items() if number is None and defaults[name]]
-    used = {name: defaults[name] if number is None else number for name, number in stds.items()}
+    defaults_taken = [
+        f"{name} {defaults[name]:.2g}" for name, number in stds.items() if number is None and defaults[name]
+    ]
+    stds_in_use = {name: defaults[name] if number is None else number for name, number in stds.items()}
     local_gravity = gravity or GRAVITY_OF_HOLDS
-    relative_gravity_std = 0.0 if somewhere else used["gravity_std"] / local_gravity
-    relative_std = math.hypot(relative_gravity_std, used["mass_relative_std"], used["arm_std_m"] / min(arms))
-    within = GRAVITY_WITHIN / local_gravity if somewhere else 0.0
-    note = f"not given and taken: {listed(lacking)}; gravity {local_gravity:g} m/s^2"
-    return Noted(ReferenceTorque(local_gravity / GRAVITY_OF_HOLDS, relative_std, within), (note,) if lacking else ())
+    relative_gravity_std = 0.0 if is_gravity_unknown else stds_in_use["gravity_std"] / local_gravity
+    relative_std = math.hypot(
+        relative_gravity_std, stds_in_use["mass_relative_std"], stds_in_use["arm_std_m"] / min(arms)
+    )
+    half_range = GRAVITY_HALF_RANGE / local_gravity if is_gravity_unknown else 0.0
+    note = f"not given and taken: {listed(defaults_taken)}; gravity {local_gravity:g} m/s^2"
+    return Noted(
+        ReferenceTorque(local_gravity / GRAVITY_OF_HOLDS, relative_std, half_range), (note,) if defaults_taken else ()
+    )
 
 
 def fit_readings(applied: Array, levels: HoldMeans, error_prefix: str) -> LineFit:
-    """Fit the readings over the applied torque, with drift of the zero and hysteresis where the holds allow it.
+    """Fit the readings over the applied torque [N*m], with drift of the zero and hysteresis if the holds show them.
 
-    Each run has a drift of its zero. Hysteresis is a loop between rising and falling weights that closes at both ends.
+    Each run has a separate drift. Hysteresis is a loop between rising and falling weights that closes at both ends.
     """
     time = np.array([0.5 * (hold.start + hold.stop) for hold in levels.holds])
     columns = {"sensitivity": applied}
     for number in np.unique(levels.run_index):
-        of_run = levels.run_index == number
-        middle = 0.5 * (time[of_run].min() + time[of_run].max())
-        columns[f"drift_{number}"] = np.where(of_run, time - middle, 0.0) / max(float(np.ptp(time[of_run])), 1e-9)
+        in_run = levels.run_index == number
+        middle_time = 0.5 * (time[in_run].min() + time[in_run].max())
+        columns[f"drift_{number}"] = np.where(in_run, time - middle_time, 0.0) / max(float(np.ptp(time[in_run])), 1e-9)
     if {1, -1} <= set(levels.direction.tolist()):
         columns[HYSTERESIS_COLUMN] = -np.sign(applied) * levels.direction * loop_shape(applied)
     try:
@@ -199,20 +205,29 @@ def fit_readings(applied: Array, levels: HoldMeans, error_prefix: str) -> LineFi
 
 
 def loop_shape(applied: Array) -> Array:
-    """Return the width of a hysteresis loop over its greatest, shape (holds,)."""
+    """Return the width of a hysteresis loop over its greatest width, shape (holds,)."""
     share = np.abs(applied) / float(np.max(np.abs(applied)))
     return np.asarray(4.0 * share * (1.0 - share))
 
 
 def sensitivity(line: LineFit, reference: ReferenceTorque) -> Estimate:
-    """Estimate reading over torque, with the uncertainty of the weights' torque."""
+    """Estimate reading over torque; the interval includes the uncertainty of the weights' torque."""
     factor = line.estimate("sensitivity", "sensitivity", "1", reference.relative_std)
-    half = half_width((factor.high - factor.value) / t_quantile(math.inf), math.inf, reference.within * factor.value)
-    std = math.hypot(factor.std, reference.within / math.sqrt(3.0) * factor.value)
-    return Estimate(factor.name, factor.value, std, factor.value - half, factor.value + half, factor.units)
+    interval_half_width = half_width(
+        (factor.high - factor.value) / t_quantile(math.inf), math.inf, reference.half_range * factor.value
+    )
+    std = math.hypot(factor.std, reference.half_range / math.sqrt(3.0) * factor.value)
+    return Estimate(
+        factor.name,
+        factor.value,
+        std,
+        factor.value - interval_half_width,
+        factor.value + interval_half_width,
+        factor.units,
+    )
 
 
-def owner_notes(line: LineFit, levels: HoldMeans, factor: float, highest: float) -> list[str]:
+def owner_notes(line: LineFit, levels: HoldMeans, factor: float, highest_torque: float) -> list[str]:
     """Return notes on settings to change and on conditions that limit the calibration."""
     notes = []
     if factor < 0.0:
@@ -221,9 +236,9 @@ def owner_notes(line: LineFit, levels: HoldMeans, factor: float, highest: float)
         notes.append(f"the reading is {factor:.4f} times the torque: multiply scale_per_V by {1.0 / factor:.5g}")
     quarters = levels.quarter_means[TORQUE]
     swing = np.nanmax(quarters, axis=1) - np.nanmin(quarters, axis=1)
-    swinging = swing > MOST_SWING * highest
-    if swinging.any():
-        unsteady = [str(hold) for hold, swings in zip(levels.holds, swinging, strict=True) if swings]
+    is_swinging = swing > MOST_SWING * highest_torque
+    if is_swinging.any():
+        unsteady = [str(hold) for hold, swings in zip(levels.holds, is_swinging, strict=True) if swings]
         notes.append(
             f"the weight swung or crept in {len(unsteady)} holds ({listed(unsteady)}): wait longer before confirming"
         )
@@ -233,27 +248,27 @@ def owner_notes(line: LineFit, levels: HoldMeans, factor: float, highest: float)
 
 
 def budget(
-    runs: Sequence[Run], levels: HoldMeans, line: LineFit, slope_std: float, highest: float
+    runs: Sequence[Run], levels: HoldMeans, line: LineFit, slope_std: float, highest_torque: float
 ) -> Noted[list[BudgetComponent]]:
     """Return the budget's components that follow from the readings, as standard uncertainties [N*m].
 
-    A component that cannot be estimated from the runs is NaN, and a note says so.
+    A component that the runs do not determine is NaN; a note names it, unless it is the drift of the zero.
     """
     notes = []
     factor = abs(line.slope("sensitivity"))
     residuals = line.fit.residuals / factor
-    if HYSTERESIS_COLUMN in line.slopes:  # the loop is a part of the budget
+    if HYSTERESIS_COLUMN in line.slopes:  # the loop is a component of the budget, so the residuals keep it
         loop = line.fit.projected[:, line.slopes.index(HYSTERESIS_COLUMN)]
         residuals = residuals + line.slope(HYSTERESIS_COLUMN) / factor * loop
     weight_and_run = np.column_stack([setpoint_groups(levels), levels.run_index])
-    cells = np.unique(weight_and_run, axis=0, return_inverse=True)[1].reshape(-1)
-    counts = np.bincount(cells)
-    within = residuals - (np.bincount(cells, residuals) / counts)[cells]
+    cell_of_hold = np.unique(weight_and_run, axis=0, return_inverse=True)[1].reshape(-1)
+    counts = np.bincount(cell_of_hold)
+    deviations = residuals - (np.bincount(cell_of_hold, residuals) / counts)[cell_of_hold]
     dof = float(len(residuals) - len(counts))
-    repeat = math.sqrt(float(within @ within) / dof) if dof else NAN
+    repeatability_std = math.sqrt(float(deviations @ deviations) / dof) if dof else NAN
     if not dof:
         notes.append("no weight was hung twice: repeatability is not known, and not in the combined uncertainty")
-    means = {
+    residual_means = {
         direction: {
             value: float(residuals[in_direction & (levels.setpoint == value)].mean())
             for value in levels.setpoint[in_direction]
@@ -261,44 +276,51 @@ def budget(
         for direction in (1, -1)
         if (in_direction := levels.direction == direction).any()
     }
-    loop_widths = [abs(means[1][value] - means[-1][value]) for value in means.get(1, {}) if value in means.get(-1, {})]
+    loop_widths = [
+        abs(residual_means[1][value] - residual_means[-1][value])
+        for value in residual_means.get(1, {})
+        if value in residual_means.get(-1, {})
+    ]
     if not loop_widths:
         notes.append("weights were not hung rising and falling: hysteresis is not known, and not in the combined one")
-    departures = [abs(float(residuals[levels.setpoint == value].mean())) for value in np.unique(levels.setpoint)]
-    zeros = levels.means[TORQUE][levels.setpoint == 0.0] / factor
-    steps = [quantisation_step(run.channel(TORQUE).values) / factor for run in runs]
-    parts = [
-        BudgetComponent("repeatability", repeat, dof or math.inf),
-        BudgetComponent("sensitivity", highest * slope_std / factor, line.fit.dof),
-        BudgetComponent("linearity", max(departures) / math.sqrt(3.0)),
+    mean_departures = [abs(float(residuals[levels.setpoint == value].mean())) for value in np.unique(levels.setpoint)]
+    zero_readings = levels.means[TORQUE][levels.setpoint == 0.0] / factor
+    quantisation_steps = [quantisation_step(run.channel(TORQUE).values) / factor for run in runs]
+    components = [
+        BudgetComponent("repeatability", repeatability_std, dof or math.inf),
+        BudgetComponent("sensitivity", highest_torque * slope_std / factor, line.fit.dof),
+        BudgetComponent("linearity", max(mean_departures) / math.sqrt(3.0)),
         BudgetComponent("hysteresis", 0.5 * max(loop_widths) / math.sqrt(3.0) if loop_widths else NAN),
-        BudgetComponent("resolution", math.sqrt(2.0) * max(steps) / math.sqrt(12.0)),  # of a reading and of its zero
-        BudgetComponent("zero_drift", 0.5 * float(np.ptp(zeros)) / math.sqrt(3.0) if len(zeros) > 1 else NAN),
+        # resolution of a reading and of its zero
+        BudgetComponent("resolution", math.sqrt(2.0) * max(quantisation_steps) / math.sqrt(12.0)),
+        BudgetComponent(
+            "zero_drift", 0.5 * float(np.ptp(zero_readings)) / math.sqrt(3.0) if len(zero_readings) > 1 else NAN
+        ),
     ]
-    return Noted(parts, tuple(notes))
+    return Noted(components, tuple(notes))
 
 
 def combined_estimates(components: Sequence[BudgetComponent]) -> list[Estimate]:
-    """Return combined uncertainty, coverage factor and expanded uncertainty, without components that are unknown."""
+    """Return combined uncertainty, coverage factor and expanded uncertainty of the components that are known."""
     known_components = [component for component in components if math.isfinite(component.std)]
     std = math.sqrt(sum(component.std**2 for component in known_components))
     dof_sum = sum(component.std**4 / component.dof for component in known_components)
-    factor = t_quantile(std**4 / dof_sum if dof_sum > 0.0 else math.inf)
+    coverage_factor = t_quantile(std**4 / dof_sum if dof_sum > 0.0 else math.inf)
     return [
         Estimate("combined_uncertainty", std, NAN, NAN, NAN, "N*m"),
-        Estimate("coverage_factor", factor, NAN, NAN, NAN, "1"),
-        Estimate("expanded_uncertainty", factor * std, NAN, NAN, NAN, "N*m"),
+        Estimate("coverage_factor", coverage_factor, NAN, NAN, NAN, "1"),
+        Estimate("expanded_uncertainty", coverage_factor * std, NAN, NAN, NAN, "N*m"),
     ]
 
 
 def plot_of(levels: HoldMeans, line: LineFit, applied: Array) -> Plot:
-    """Plot the residuals of the readings over the torque of the weights."""
+    """Return the plot of the readings' residuals over the torque of the weights."""
     points = []
     for label, direction in (("rising", 1), ("falling", -1), ("weights", 0)):
         on_side = levels.direction == direction
         if on_side.any():
-            shown = line.fit.residuals[on_side]
-            points.append(Series(label, tuple(applied[on_side].tolist()), tuple(shown.tolist())))
+            residuals = line.fit.residuals[on_side]
+            points.append(Series(label, tuple(applied[on_side].tolist()), tuple(residuals.tolist())))
     torque_range = (float(applied.min()), float(applied.max()))
     return Plot(
         "torque of the weights [N*m]",
