@@ -39,7 +39,12 @@ def analysis_of(experiment: str, error_prefix: str) -> Experiment:
 
 
 def method_of(experiment: str) -> str:
-    """Return the sentence that says how an experiment is analysed."""
+    """Return the sentence that says how an experiment is analysed.
+
+    Raises
+    ------
+    InputError : there is no such experiment, or it cannot be used.
+    """
     return load(experiment).method
 
 
@@ -68,10 +73,10 @@ class InspectedRun:
     identity: str  # the same for two files of one run
     group: tuple[str, str]  # actuator and condition
     experiment: str
-    altered: list[str]  # a line for each part whose checksum no longer matches
-    unreadable: list[str]  # faults that prevent the judgement of its channels
+    altered: list[str]  # a line for each part of the file whose checksum no longer matches
+    unreadable: list[str]  # faults that prevent a check of its channels
     doubts: list[str]  # notes on doubtful channels
-    condemned: dict[str, str]  # as of `Run.condemned`
+    condemned: dict[str, str]  # by `stream/name` of a channel: why it cannot be analysed (`Run.condemned`)
     remarks: list[str]  # notes on a run that ended early
 
 
@@ -84,7 +89,7 @@ def inspect_run(run: Run, experiment: str) -> InspectedRun:
 
     Parameters
     ----------
-    experiment : name of the experiment; if empty, that of `experiment_of`.
+    experiment : name of the experiment; if empty, `experiment_of` finds it.
     """
     doubts: list[str] = []
     unreadable: list[str] = []
@@ -113,7 +118,7 @@ def analyze_runs(paths: Sequence[Path | str], experiment: str = "", **options: A
 
     Parameters
     ----------
-    experiment : name of the experiment; if empty, that of each run by `experiment_of`.
+    experiment : name of the experiment; if empty, `experiment_of` finds that of each run.
     options : of the analysis; an option that is None counts as not given.
 
     Raises
@@ -121,8 +126,8 @@ def analyze_runs(paths: Sequence[Path | str], experiment: str = "", **options: A
     InputError : a file is no run, its values changed after its close, a run is given twice, the runs are of different
         experiments, or the analysis cannot estimate its results from them.
     """
-    with ExitStack() as opened:
-        runs = {run.path: run for run in [opened.enter_context(Run.open(path)) for path in paths]}
+    with ExitStack() as open_files:
+        runs = {run.path: run for run in [open_files.enter_context(Run.open(path)) for path in paths]}
 
         def analyze_groups(analysis: Experiment, groups: Groups, given_options: dict[str, Any]) -> Iterator[Result]:
             for members in groups:
@@ -142,7 +147,7 @@ def analyze_inspected(
 
     Raises
     ------
-    InputError : as of `analyze_runs`.
+    InputError : no run is given, or a cause that `analyze_runs` lists.
     """
     if not inspected:
         raise InputError("no run to analyse; give one run file or more")
@@ -150,14 +155,14 @@ def analyze_inspected(
     integrity.refuse_findings([finding for run in inspected for finding in run.altered])
     if unreadable := next((run.unreadable for run in inspected if run.unreadable), []):
         raise InputError(unreadable)
-    first = inspected[0]
+    first_run = inspected[0]
     for run in inspected:
-        if run.experiment != first.experiment:
+        if run.experiment != first_run.experiment:
             raise InputError(
-                f"{run.path}: its analysis is '{run.experiment}', that of {first.path} is '{first.experiment}'; "
-                "give runs of one experiment"
+                f"{run.path}: its analysis is '{run.experiment}', that of {first_run.path} is"
+                f" '{first_run.experiment}'; give runs of one experiment"
             )
-    analysis = analysis_of(first.experiment, str(first.path))
+    analysis = analysis_of(first_run.experiment, str(first_run.path))
     given_options = {name: value for name, value in options.items() if value is not None}
     refuse_unknown(analysis, given_options)
     groups: dict[tuple[str, str], list[InspectedRun]] = {}
@@ -166,7 +171,7 @@ def analyze_inspected(
     doubts = [note for run in inspected for note in run.doubts]
     with doubts_before_refusal(doubts):
         results = dict(zip(groups, analyze_groups(analysis, list(groups.values()), given_options), strict=True))
-    return combine_results(first.experiment, inspected, results, doubts)
+    return combine_results(first_run.experiment, inspected, results, doubts)
 
 
 def analyze_each(
@@ -185,21 +190,21 @@ def analyze_each(
 
     Raises
     ------
-    InputError : the runs are of one experiment, which cannot be analysed, or none of several takes an option.
+    InputError : all runs are of one experiment, which cannot be analysed, or no experiment takes one of the options.
     """
     experiments: dict[str, list[InspectedRun]] = {}
     faults: list[str] = []
-    for done in workers.in_order(_inspect_file, [(path, experiment) for path in paths]):
-        faults += done.faults
-        if not done.faults:
-            experiments.setdefault(done.value().experiment, []).append(done.value())
+    for outcome in workers.in_order(_inspect_file, [(path, experiment) for path in paths]):
+        faults += outcome.faults
+        if not outcome.faults:
+            experiments.setdefault(outcome.value().experiment, []).append(outcome.value())
 
     def analyze_groups(analysis: Experiment, groups: Groups, given_options: dict[str, Any]) -> Iterator[Result]:
         jobs = [
             (analysis.name, [(member.path, member.condemned) for member in members], given_options)
             for members in groups
         ]
-        yield from (done.value() for done in workers.in_order(_analyze_group, jobs))
+        yield from (outcome.value() for outcome in workers.in_order(_analyze_group, jobs))
 
     if faults and not experiments:  # no experiment is left that could take an option
         return [], faults
@@ -222,6 +227,7 @@ def analyze_each(
 
 
 def _inspect_file(path: Path, experiment: str) -> InspectedRun:
+    """Open a run file and return what `inspect_run` finds."""
     with Run.open(path) as run:
         return inspect_run(run, experiment)
 
@@ -229,9 +235,9 @@ def _inspect_file(path: Path, experiment: str) -> InspectedRun:
 def _analyze_group(
     experiment: str, members: Sequence[tuple[Path, dict[str, str]]], given_options: dict[str, Any]
 ) -> Result:
-    """Analyse one group; `members` are the path of each run and its condemned channels."""
-    with ExitStack() as opened:
-        runs = [opened.enter_context(Run.open(path)) for path, _ in members]
+    """Return the result of one group; `members` are the path of each run and its condemned channels."""
+    with ExitStack() as open_files:
+        runs = [open_files.enter_context(Run.open(path)) for path, _ in members]
         for run, (_, condemned) in zip(runs, members, strict=True):
             run.condemned = condemned
         return load(experiment).answer(runs, **given_options)
@@ -255,7 +261,7 @@ def by_experiment(paths: Sequence[Path], experiment: str = "") -> tuple[dict[str
 
 @contextmanager
 def doubts_before_refusal(doubts: Sequence[str]) -> Iterator[None]:
-    """Put the doubts of the channels before the message of an analysis that fails: they are likely the cause."""
+    """Put the doubts about channels before the message of an analysis that fails: they are its likely cause."""
     try:
         yield
     except InputError as fault:
@@ -270,7 +276,7 @@ def numeric_options(settings: Sequence[str], **named_options: float | None) -> d
     Parameters
     ----------
     settings : texts `name=number`, as `--set` takes them.
-    named_options : options that have a command-line option to themselves; None where it is not given.
+    named_options : options that have a separate command-line option; None for one that is not given.
 
     Raises
     ------
@@ -278,9 +284,9 @@ def numeric_options(settings: Sequence[str], **named_options: float | None) -> d
     """
     faults, values = [], {name: value for name, value in named_options.items() if value is not None}
     for setting in settings:
-        name, _, text = (part.strip() for part in setting.partition("="))
+        name, _, number_text = (part.strip() for part in setting.partition("="))
         try:
-            value = float(text)
+            value = float(number_text)
         except ValueError:
             value = math.nan
         if not (name.isidentifier() and math.isfinite(value)):
@@ -302,22 +308,22 @@ def combine_results(
 ) -> Result:
     """Combine the results of all groups into one result.
 
-    Its notes begin with the doubts of the channels. A note that not all groups share names its actuator and condition.
+    Its notes begin with the doubts about channels. A note that not all groups share names its actuator and condition.
     """
     estimates: list[Estimate] = []
     plots: list[Plot] = []
     covariances: list[Covariance] = []
     grids: list[Grid] = []
     notes = [*doubts, *(note for run in inspected for note in run.remarks)]
-    shared = set.intersection(*(set(result.notes) for result in group_results.values()))
-    notes += [note for note in next(iter(group_results.values())).notes if note in shared]
+    shared_notes = set.intersection(*(set(result.notes) for result in group_results.values()))
+    notes += [note for note in next(iter(group_results.values())).notes if note in shared_notes]
     for (actuator, condition), result in group_results.items():
-        group = f"{' '.join(filter(None, (actuator, condition))) or 'unnamed'}: " if len(group_results) > 1 else ""
+        prefix = f"{' '.join(filter(None, (actuator, condition))) or 'unnamed'}: " if len(group_results) > 1 else ""
         estimates += [replace(item, actuator=actuator, condition=condition) for item in result.results]
         plots += [replace(item, actuator=actuator, condition=condition) for item in result.plots]
         covariances += [replace(item, actuator=actuator, condition=condition) for item in result.covariances]
         grids += [replace(item, actuator=actuator, condition=condition) for item in result.grids]
-        notes += [group + note for note in result.notes if note not in shared]
+        notes += [prefix + note for note in result.notes if note not in shared_notes]
     paths = tuple(str(run.path) for run in inspected)
     return Result(
         experiment, paths, tuple(estimates), tuple(dict.fromkeys(notes)), tuple(plots), tuple(covariances), tuple(grids)
@@ -329,17 +335,17 @@ def remarks_on(run: Run) -> list[str]:
     if run.status in ("complete", ""):
         return []
     reason = str(run.attributes.get("status_reason", ""))
-    why = f" ({reason})" if reason else ""
-    return [f"{run.path}: status is '{run.status}'{why}; analysed as far as its steps go"]
+    reason_text = f" ({reason})" if reason else ""
+    return [f"{run.path}: status is '{run.status}'{reason_text}; analysed as far as its steps go"]
 
 
 def refuse_repeated(runs: Sequence[Run]) -> None:
-    """Refuse a run that is given twice, under one path or two: it would count as a repeat of itself."""
+    """Raise InputError if a run is given twice, under one path or two: it would count as a repeat of itself."""
     refuse_duplicates((identity_of(run), run.path) for run in runs)
 
 
 def refuse_duplicates(runs: Iterable[tuple[str, Path]]) -> None:
-    """Refuse two files of one run; `runs` are the identity and the path of each file."""
+    """Raise InputError if two files are of one run; `runs` are the identity and the path of each file."""
     path_of_identity: dict[str, Path] = {}
     for identity, path in runs:
         if identity in path_of_identity:
@@ -353,17 +359,17 @@ def identity_of(run: Run) -> str:
 
 
 def refuse_altered(runs: Sequence[Run]) -> None:
-    """Refuse runs whose values do not match their checksums: results from them would not be measurements."""
+    """Raise InputError if values of a run do not match their checksums: they are not as they were measured."""
     integrity.refuse_altered(run.path for run in runs)
 
 
 def refuse_unknown(analysis: Experiment, options: dict[str, Any]) -> None:
-    """Refuse options that an analysis does not take."""
+    """Raise InputError if an analysis does not take one of the options."""
     accepted = options_of(analysis)
     for name in options:
         if name not in accepted:
-            listing = ", ".join(accepted) or "nothing"
-            raise InputError(f"{analysis.name} has no option {name}; it has {listing} (--set NAME=NUMBER)")
+            accepted_text = ", ".join(accepted) or "nothing"
+            raise InputError(f"{analysis.name} has no option {name}; it has {accepted_text} (--set NAME=NUMBER)")
 
 
 def options_of(analysis: Experiment) -> list[str]:

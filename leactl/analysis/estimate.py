@@ -15,7 +15,7 @@ FORMAT, VERSION = "leactl-analysis", 1  # of a result as JSON
 
 @dataclass(frozen=True)
 class Estimate:
-    """One number with its standard uncertainty and its 95 % interval; NaN where it has none."""
+    """One number with its standard uncertainty and its 95 % interval; NaN for each that is not known."""
 
     name: str
     value: float
@@ -40,16 +40,19 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Noted(Generic[Value]):
-    """A value and the notes that its reader must know, in the order in which they are printed."""
+    """A value and the notes on it that a reader must see, in the order in which they are printed."""
 
     value: Value
     notes: tuple[str, ...] = ()
 
 
-def joined(parts: Iterable[Noted[Sequence[Item]]]) -> Noted[list[Item]]:
-    """Put the items of several sequences into one list, and their notes into one tuple."""
-    noted = list(parts)
-    return Noted([item for part in noted for item in part.value], tuple(note for part in noted for note in part.notes))
+def joined(sequences: Iterable[Noted[Sequence[Item]]]) -> Noted[list[Item]]:
+    """Return the items of several sequences as one list, with all their notes."""
+    noted_sequences = list(sequences)
+    return Noted(
+        [item for sequence in noted_sequences for item in sequence.value],
+        tuple(note for sequence in noted_sequences for note in sequence.notes),
+    )
 
 
 @dataclass(frozen=True)
@@ -80,17 +83,17 @@ class Plot:
     actuator: str = ""
     condition: str = ""
     x_log: bool = False  # x spans decades, as a frequency does
-    bands: tuple[Band, ...] = ()  # of a map, lowest first, empty ones among them
+    bands: tuple[Band, ...] = ()  # of a map, lowest first; some may have no polygons
 
 
-def plot_slice(count: int, most: int) -> slice:
-    """Return the slice that takes every n-th of `count` points, the smallest n that leaves `most` or fewer."""
-    return slice(None, None, max(1, math.ceil(count / most)))
+def plot_slice(count: int, most_points: int) -> slice:
+    """Return the slice that takes every n-th of `count` points, n the smallest that leaves at most `most_points`."""
+    return slice(None, None, max(1, math.ceil(count / most_points)))
 
 
 @dataclass(frozen=True)
 class Covariance:
-    """Joint covariance of estimates, in their units; NaN where one has none."""
+    """Joint covariance of estimates, in products of their units; NaN for estimates without an uncertainty."""
 
     names: tuple[str, ...]
     values: tuple[tuple[float, ...], ...]
@@ -141,23 +144,25 @@ class Result:
         return list(dict.fromkeys((item.actuator, item.condition) for item in self.results))
 
     def find(self, name: str, actuator: str | None = None, condition: str | None = None) -> Estimate:
-        """Return the one estimate of this name.
+        """Return the only estimate of this name.
 
-        `actuator` and `condition` select among several groups; None accepts any.
+        `actuator` and `condition` select among several groups; None accepts every actuator or condition.
 
         Raises
         ------
         InputError : no estimate matches, or several do.
         """
         matches = [
-            item
-            for item in self.results
-            if item.name == name and actuator in (None, item.actuator) and condition in (None, item.condition)
+            estimate
+            for estimate in self.results
+            if estimate.name == name
+            and actuator in (None, estimate.actuator)
+            and condition in (None, estimate.condition)
         ]
         if not matches:
             raise InputError(f"{self.experiment} has no result '{name}'{self._group_and_names(actuator, condition)}")
         if len(matches) > 1:
-            groups = ", ".join(f"{item.actuator}/{item.condition}" for item in matches)
+            groups = ", ".join(f"{estimate.actuator}/{estimate.condition}" for estimate in matches)
             raise InputError(f"{self.experiment} has '{name}' {len(matches)} times: {groups}; ask for one of them")
         return matches[0]
 

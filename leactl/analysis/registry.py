@@ -3,12 +3,12 @@
 An experiment is a module, or any object, with
 
     RESULTS = {"ripple": "N*m"}            every result that it may give, with its unit
-    CHANNELS = {"torque": "test"}          what a run must have: roles by quantity; optional
+    CHANNELS = {"torque": "test"}          the channels that a run must have: roles by quantity; optional
     def analyze(runs, **options) -> Result
 
-Its first sentence of documentation says how it is done; the plots and notes of its `Result` are shown as those of
-shipped experiments are. Nothing is imported before it is asked for; a package that fails to import is reported when its
-experiment is asked for and harms no other.
+The first paragraph of its docstring says how the experiment is analysed; the plots and notes of its `Result` are shown
+like those of shipped experiments. A module is imported when its experiment is asked for; an import that fails is
+reported then, and does not affect other experiments.
 """
 
 import importlib
@@ -31,21 +31,22 @@ EXPERIMENTS_PACKAGE = "leactl.analysis.experiments"
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment, loaded."""
+    """One experiment whose module is loaded."""
 
     name: str
-    source: str  # the distribution that brought it; empty for a shipped one
+    source: str  # name and version of the distribution that brought it; empty for a shipped experiment
     analyze: Callable[..., Result]
     results: Mapping[str, str]  # units by name
     channels: Mapping[str, str]  # roles by quantity
-    method: str  # one sentence
+    method: str  # how it is analysed: the first paragraph of the docstring
 
     def answer(self, runs: Sequence[Run], **options: Any) -> Result:
         """Analyse runs of one actuator under one condition.
 
         Raises
         ------
-        InputError : the runs cannot answer, or the analysis of another package fails or gives what it does not declare.
+        InputError : the runs do not determine the results, or the analysis of another package fails or returns results
+            that it does not declare.
         """
         for run in runs:
             for quantity, role in self.channels.items():
@@ -54,18 +55,18 @@ class Experiment:
         if not self.source:
             return self.analyze(runs, **options)
         try:
-            answer = self.analyze(runs, **options)
+            result = self.analyze(runs, **options)
         except InputError:
             raise
         except Exception as error:  # a foreign analysis may fail in any way; it must not take leactl with it
             raise InputError(f"{self._where} failed: {type(error).__name__}: {error}") from error
-        if not isinstance(answer, Result):
-            raise InputError(f"{self._where} gave {type(answer).__name__}; a leactl Result was expected")
-        for item in answer.results:
-            if self.results.get(item.name) != item.units:
+        if not isinstance(result, Result):
+            raise InputError(f"{self._where} gave {type(result).__name__}; a leactl Result was expected")
+        for estimate in result.results:
+            if self.results.get(estimate.name) != estimate.units:
                 declared = ", ".join(f"{name} [{units}]" for name, units in self.results.items()) or "nothing"
-                raise InputError(f"{self._where} gave {item.name} [{item.units}]; it declares {declared}")
-        return answer
+                raise InputError(f"{self._where} gave {estimate.name} [{estimate.units}]; it declares {declared}")
+        return result
 
     @property
     def _where(self) -> str:
@@ -74,40 +75,42 @@ class Experiment:
 
 @cache
 def shipped_experiments() -> frozenset[str]:
-    """Names of the experiments of this package, one of each module in their folder."""
-    room = importlib.import_module(EXPERIMENTS_PACKAGE)
-    return frozenset(module.name.replace("_", "-") for module in pkgutil.iter_modules(room.__path__))
+    """Return the names of the experiments of this package: one for each module in their folder."""
+    package = importlib.import_module(EXPERIMENTS_PACKAGE)
+    return frozenset(module.name.replace("_", "-") for module in pkgutil.iter_modules(package.__path__))
 
 
 def names() -> list[str]:
-    """Names of all experiments, without importing any."""
+    """Return the names of all experiments, without importing any."""
     return sorted({*shipped_experiments(), *foreign()})
 
 
 @cache
 def foreign() -> dict[str, EntryPoint]:
-    """Entry points of other packages by name; a shipped name stays with the shipped experiment."""
+    """Return the entry points of other packages by name, without those that have the name of a shipped experiment."""
     return {
-        point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in shipped_experiments()
+        entry_point.name: entry_point
+        for entry_point in entry_points(group=ENTRY_POINT_GROUP)
+        if entry_point.name not in shipped_experiments()
     }
 
 
 def load(name: str) -> Experiment:
-    """Load one experiment.
+    """Return the experiment of this name, loaded.
 
     Raises
     ------
-    InputError : there is none of this name, or it cannot be imported or used.
+    InputError : there is no experiment of this name, or it cannot be imported or used.
     """
     name = name.replace("_", "-")
     if name in shipped_experiments():
         return as_experiment(name, "", importlib.import_module(f"{EXPERIMENTS_PACKAGE}.{name.replace('-', '_')}"))
-    point = foreign().get(name)
-    if point is None:
+    entry_point = foreign().get(name)
+    if entry_point is None:
         raise InputError(f"analysis '{name}' is not known; known: {', '.join(names())}")
-    source = f"{point.dist.name} {point.dist.version}" if point.dist else "unknown distribution"
+    source = f"{entry_point.dist.name} {entry_point.dist.version}" if entry_point.dist else "unknown distribution"
     try:
-        return as_experiment(name, source, point.load())
+        return as_experiment(name, source, entry_point.load())
     except Exception as error:  # noqa: BLE001 (a foreign plug-in may fail in any way; it must not take leactl with it)
         reason = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
         raise InputError(f"analysis '{name}' of {source} cannot be used: {' '.join(reason.split())}") from None
@@ -118,15 +121,17 @@ def as_experiment(name: str, source: str, loaded: Any) -> Experiment:
 
     Raises
     ------
-    InputError : it lacks `analyze` or `RESULTS`, or they are not what was expected.
+    InputError : it has no function `analyze`, or its `RESULTS` or `CHANNELS` are no mapping of texts to texts.
     """
     analyze = getattr(loaded, "analyze", None)
     results: Any = getattr(loaded, "RESULTS", None)
     channels: Any = getattr(loaded, "CHANNELS", {})
     if not callable(analyze):
         raise InputError("it has no function analyze(runs, **options)")
-    for called, texts in (("RESULTS", results), ("CHANNELS", channels)):
-        if not isinstance(texts, Mapping) or not all(isinstance(text, str) for pair in texts.items() for text in pair):
-            raise InputError(f"{called} is no mapping of texts to texts")
-    text = inspect.getdoc(loaded) or ""
-    return Experiment(name, source, analyze, results, channels, " ".join(text.partition("\n\n")[0].split()))
+    for attribute, mapping in (("RESULTS", results), ("CHANNELS", channels)):
+        if not isinstance(mapping, Mapping) or not all(
+            isinstance(text, str) for pair in mapping.items() for text in pair
+        ):
+            raise InputError(f"{attribute} is no mapping of texts to texts")
+    docstring = inspect.getdoc(loaded) or ""
+    return Experiment(name, source, analyze, results, channels, " ".join(docstring.partition("\n\n")[0].split()))

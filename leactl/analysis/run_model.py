@@ -12,26 +12,26 @@ LARGEST_SQUARABLE: Final = math.sqrt(sys.float_info.max)  # a number whose squar
 
 
 def model_of(run: Run) -> dict[str, Any]:
-    """Return the model in a run file as a mapping; empty where there is no model or it is no mapping.
+    """Return the model in a run file as a mapping; empty if there is no model, or the model is no mapping.
 
     Raises
     ------
     InputError : the text of the model is no YAML.
     """
     text = run.source("model")
-    data = yamlfile.parse(text, f"{run.path}:/model/source").data if text is not None else None
-    return data if isinstance(data, dict) else {}
+    document = yamlfile.parse(text, f"{run.path}:/model/source").data if text is not None else None
+    return document if isinstance(document, dict) else {}
 
 
 def rotor_inertia_of_model(run: Run) -> float:
-    """Return the rotor inertia in a run's model [kg*m^2]; NaN where there is none."""
+    """Return the rotor inertia in a run's model [kg*m^2]; NaN if there is none."""
     return positive_number(model_of(run).get("rotor_inertia"))
 
 
 def positive_number(entry: object) -> float:
     """Return the entry of a model as a number above zero.
 
-    NaN where it is no such number, or where its square overflows or underflows.
+    NaN if it is no such number, or if its square overflows or underflows.
     """
     if not isinstance(entry, int | float) or isinstance(entry, bool) or not 0 < entry <= LARGEST_SQUARABLE:
         return math.nan

@@ -28,10 +28,10 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Point:
-    """The value of one run."""
+    """One run and its value of the result."""
 
     run: Path
-    created: str  # UTC
+    created: str  # time of creation, UTC
     value: Estimate
 
 
@@ -44,7 +44,7 @@ class Trend:
     actuator: str
     condition: str
     points: tuple[Point, ...]
-    chart: ControlChart | None  # None where there are too few points
+    chart: ControlChart | None  # None if there are too few points
     left_out: tuple[str, ...]  # a line for each run whose analysis fails or gives no finite value
 
     def as_json(self) -> dict[str, Any]:
@@ -76,9 +76,9 @@ def trend(
 
     Parameters
     ----------
-    actuator, condition : take only runs with this label; the runs that are left must share one of each.
+    actuator, condition : take only runs with this label; these runs must have one actuator and one condition.
     baseline : number of first values that the control limits are computed from; by default all.
-    tell : is called with the name of each run's file before its value is awaited.
+    tell : function that is called with the name of each run's file before its value is awaited.
     workers : processes that analyse the runs; the trend does not depend on their number.
     options : of the analyses, as of `analyze_runs`.
 
@@ -96,13 +96,13 @@ def trend(
 def _runs_with(
     workers: Workers, paths: Sequence[Path], result: str, requested_group: tuple[str, str]
 ) -> tuple[tuple[str, str], list[tuple[str, Path, str]]]:
-    """Return actuator and condition of the requested group, and its runs by creation: created, path, experiment.
+    """Return actuator and condition of the requested group, and time, path and experiment of its runs by creation.
 
-    `requested_group` is actuator and condition; an empty text accepts any.
+    `requested_group` is actuator and condition; an empty text accepts every label.
     """
     runs_with_result: list[tuple[str, tuple[str, str], Path, str]] = []
     other_results: dict[str, None] = {}
-    descriptions = [done.value() for done in workers.in_order(_description, [(path,) for path in paths])]
+    descriptions = [outcome.value() for outcome in workers.in_order(_description, [(path,) for path in paths])]
     refuse_duplicates((identity, path) for path, (identity, *_) in zip(paths, descriptions, strict=True))
     for path, (_, created, group, experiment) in zip(paths, descriptions, strict=True):
         units_of_results = results_of(experiment)
@@ -113,15 +113,15 @@ def _runs_with(
     if not runs_with_result:
         raise InputError(f"no run has a result '{result}'; they have {listed(other_results, 12)}")
     selected = [
-        item
-        for item in runs_with_result
-        if all(requested in ("", label) for requested, label in zip(requested_group, item[1], strict=True))
+        (created, group, path, experiment)
+        for created, group, path, experiment in runs_with_result
+        if all(requested in ("", label) for requested, label in zip(requested_group, group, strict=True))
     ]
     groups = dict.fromkeys(group for _, group, _, _ in selected)
     if len(groups) != 1:
-        available_groups = sorted(groups or dict.fromkeys(item[1] for item in runs_with_result))
-        listing = listed(f"'{actuator}' under '{condition}'" for actuator, condition in available_groups)
-        raise InputError(f"runs with '{result}' are of {listing}; choose one by --actuator and --condition")
+        available_groups = sorted(groups or dict.fromkeys(group for _, group, _, _ in runs_with_result))
+        groups_text = listed(f"'{actuator}' under '{condition}'" for actuator, condition in available_groups)
+        raise InputError(f"runs with '{result}' are of {groups_text}; choose one by --actuator and --condition")
     return next(iter(groups)), [(created, path, experiment) for created, _, path, experiment in sorted(selected)]
 
 
@@ -132,12 +132,12 @@ def _points(
     options: Mapping[str, Any],
     tell: Tell,
 ) -> tuple[list[Point], list[str]]:
-    """Analyse each run; return the finite values, and a line for each run without one."""
-    accepted = {experiment: options_of(load(experiment)) for *_, experiment in runs}
-    if unused := [name for name in options if not any(name in names for names in accepted.values())]:
-        raise InputError([f"--set {name}: none of {', '.join(accepted)} takes it" for name in unused])
+    """Return the points of all runs with a finite value, and a line for each run without such a value."""
+    options_by_experiment = {experiment: options_of(load(experiment)) for *_, experiment in runs}
+    if unused := [name for name in options if not any(name in names for names in options_by_experiment.values())]:
+        raise InputError([f"--set {name}: none of {', '.join(options_by_experiment)} takes it" for name in unused])
     jobs = [
-        (path, result, {name: value for name, value in options.items() if name in accepted[experiment]})
+        (path, result, {name: value for name, value in options.items() if name in options_by_experiment[experiment]})
         for _, path, experiment in runs
     ]
     values = workers.in_order(_value, jobs)
@@ -145,10 +145,10 @@ def _points(
     left_out: list[str] = []
     for created, path, _ in runs:
         tell(path.name)
-        done = next(values)
-        if done.faults:
-            left_out += done.faults
-        elif math.isfinite((value := done.value()).value):
+        outcome = next(values)
+        if outcome.faults:
+            left_out += outcome.faults
+        elif math.isfinite((value := outcome.value()).value):
             points.append(Point(path, created, value))
         else:
             left_out.append(f"{path}: does not determine {result}")
@@ -158,7 +158,7 @@ def _points(
 
 
 def _description(path: Path) -> tuple[str, str, tuple[str, str], str]:
-    """Return a run's identity, time of creation, actuator and condition, and experiment."""
+    """Return a run's identity, its time of creation, its actuator and condition, and its experiment."""
     with Run.open(path) as run:
         created, actuator, condition = (
             str(run.attributes.get(name, "")) for name in ("created", "actuator", "condition")
@@ -167,5 +167,5 @@ def _description(path: Path) -> tuple[str, str, tuple[str, str], str]:
 
 
 def _value(path: Path, result: str, options: Mapping[str, Any]) -> Estimate:
-    """Analyse one run and return its estimate of the result."""
+    """Return the estimate of the result that the analysis of one run gives."""
     return analyze_runs([path], **options).find(result)
