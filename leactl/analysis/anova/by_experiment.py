@@ -14,7 +14,7 @@ from leactl.runfile.catalog.summaries import run_files
 
 @dataclass(frozen=True, eq=False)
 class ExperimentComparison:
-    """Comparisons of the results of one experiment, and why other results were not compared."""
+    """Comparisons of the results of one experiment; `refused` has a line for each result that was not compared."""
 
     experiment: str
     comparisons: list[Comparison]
@@ -37,7 +37,8 @@ def compare_each(
 
     Returns
     -------
-    A comparison for each experiment that has one, a line for each that has none, and a line for each fault of a file.
+    A comparison for each experiment that can be compared, a line for each that cannot, and a line for each fault of a
+    file.
 
     Raises
     ------
@@ -56,7 +57,7 @@ def compare_each(
     given_options = {name: value for name, value in options.items() if value is not None}
     used_options: set[str] = set()
     compared: list[ExperimentComparison] = []
-    without: list[str] = []
+    uncompared: list[str] = []
     for experiment, members in groups.items():
         try:
             accepted_options = {
@@ -67,7 +68,7 @@ def compare_each(
             used_options |= accepted_options.keys()
             comparison = ExperimentComparison(*compare_all(members, (), by_run, **accepted_options))
         except NotIdentifiable as fault:
-            without += [_prefixed(experiment, line) for line in fault.faults]
+            uncompared += [_prefixed(experiment, fault_line) for fault_line in fault.faults]
         except InputError as fault:
             faults += fault.faults
         else:
@@ -75,16 +76,16 @@ def compare_each(
     compared_names = {
         comparison.name for experiment_comparison in compared for comparison in experiment_comparison.comparisons
     }
-    lines = [
+    option_faults = [
         f"--set {name}: none of {', '.join(groups)} takes it" for name in given_options if name not in used_options
     ]
-    lines += [
+    option_faults += [
         f"--result {name}: none of {', '.join(groups)} has it to compare"
         for name in names
         if name not in compared_names
     ]
-    if lines:
-        raise InputError(lines)
+    if option_faults:
+        raise InputError(option_faults)
     if names:
         compared = [
             ExperimentComparison(
@@ -94,8 +95,8 @@ def compare_each(
         ]
         compared = [comparison for comparison in compared if comparison.comparisons]
     if not compared:
-        raise InputError([*faults, *without])
-    return compared, without, faults
+        raise InputError([*faults, *uncompared])
+    return compared, uncompared, faults
 
 
 def _prefixed(experiment: str, fault: str) -> str:

@@ -22,7 +22,7 @@ class ConditionSummary:
     condition: str
     count: int
     mean: float
-    std: float  # of the values, NaN for one
+    std: float  # of the values; NaN for a single value
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Comparison:
 
     @property
     def sentence(self) -> str:
-        """Return a sentence that states the effects that the data show, and the size of an effect they could show."""
+        """Return a sentence that states the effects that the data show, and how large an effect they would show."""
         test = self.anova.test
         statistics = (
             f"{in_words(test)}, omega squared {self.effect.value:.2f} [{self.effect.low:.2f}, {self.effect.high:.2f}]"
@@ -49,21 +49,22 @@ class Comparison:
         if test.shown != self.anova.shown and self.anova.unequal is not None:
             statistics += f"; with unequal scatter allowed for, by Welch's test, {in_words(self.anova.unequal)}"
         if not self.anova.shown:
-            largest = max(max(abs(pair.low), abs(pair.high)) for pair in self.pairs)
+            largest_difference = max(max(abs(pair.low), abs(pair.high)) for pair in self.pairs)
             return (
                 f"No effect of the condition on {self.name} is shown ({statistics}). That does not show that there is"
-                f" none: differences up to {largest:.2g} {self.units} are compatible with these values, and one of"
-                f" {self._seen(self.pairs)} would have passed Tukey's test in {POWER:.0%} of such experiments."
+                f" none: differences up to {largest_difference:.2g} {self.units} are compatible with these values, and"
+                f" one of {self._visible_difference(self.pairs)} would have passed Tukey's test in {POWER:.0%} of such"
+                " experiments."
             )
         text = f"{self.name} differs between conditions ({statistics})"
         if clear_pairs:
             text += ": " + "; ".join(self._ordered(pair) for pair in clear_pairs)
         unclear_pairs = [pair for pair in self.pairs if not pair.shown]
         if unclear_pairs:
-            unclear = ", ".join(f"{pair.first} and {pair.second}" for pair in unclear_pairs)
+            unclear_names = ", ".join(f"{pair.first} and {pair.second}" for pair in unclear_pairs)
             text += (
-                f". Between {unclear} no difference is shown; one of {self._seen(unclear_pairs)} would have passed"
-                f" Tukey's test in {POWER:.0%} of such experiments"
+                f". Between {unclear_names} no difference is shown; one of {self._visible_difference(unclear_pairs)}"
+                f" would have passed Tukey's test in {POWER:.0%} of such experiments"
             )
         return text + "."
 
@@ -108,18 +109,20 @@ class Comparison:
         }
 
     def _ordered(self, pair: PairwiseDifference) -> str:
+        """Return a text that says which condition of a pair is higher, and by how much."""
         low, high = sorted((abs(pair.low), abs(pair.high)))
         higher, lower = (pair.second, pair.first) if pair.difference > 0.0 else (pair.first, pair.second)
         limits = f"[{_digits(low, 2)}, {_digits(high, 2)}]"
         return f"{higher} is above {lower} by {_digits(abs(pair.difference), 3)} {limits} {self.units}"
 
-    def _seen(self, among: Sequence[PairwiseDifference]) -> str:
-        smallest = max(pair.smallest_seen for pair in among)
+    def _visible_difference(self, candidates: Sequence[PairwiseDifference]) -> str:
+        """Return a text with the largest of the smallest visible differences of pairs, also relative to the mean."""
+        smallest = max(pair.smallest_seen for pair in candidates)
         mean = abs(
             float(np.average([group.mean for group in self.groups], weights=[group.count for group in self.groups]))
         )
-        relative = f" ({100.0 * smallest / mean:.2g} % of the mean)" if mean > smallest else ""
-        return f"{smallest:.2g} {self.units}{relative}"
+        relative_text = f" ({100.0 * smallest / mean:.2g} % of the mean)" if mean > smallest else ""
+        return f"{smallest:.2g} {self.units}{relative_text}"
 
 
 def compare(values: Values) -> Comparison:
@@ -144,7 +147,7 @@ def compare(values: Values) -> Comparison:
         omega_squared(analysis.test),
         tuple(pairs(values, analysis)),
         tuple(assumptions),
-        (*values.notes, *_remarks(values, analysis, groups), *_broken(assumptions)),
+        (*values.notes, *_remarks(values, analysis, groups), *_doubtful_notes(assumptions)),
     )
 
 
@@ -195,11 +198,11 @@ def compare_all(
 
 
 def _best(trials: Values | None, runs: Values | None) -> Comparison:
-    """Compare single trials if they cover every condition, else one value for each run, else the trials that exist.
+    """Compare single trials if they cover every condition, else one value for each run, else trials of some conditions.
 
     Raises
     ------
-    NotIdentifiable : neither can be compared.
+    NotIdentifiable : neither trials nor runs can be compared.
     """
     if runs is None or (trials is not None and set(runs.condition.tolist()) <= set(trials.condition.tolist())):
         assert trials is not None
@@ -253,8 +256,8 @@ def _remarks(values: Values, anova: Anova, groups: list[ConditionSummary]) -> li
     return notes
 
 
-def _broken(checks: list[Check]) -> list[str]:
-    """Return a note on each doubtful assumption."""
+def _doubtful_notes(checks: list[Check]) -> list[str]:
+    """Return a note for each doubtful assumption."""
     return [
         f"{check.name}: doubtful (p = {check.p:.2g})" + (f"; {check.note}" if check.note else "")
         for check in checks
@@ -268,8 +271,10 @@ def _digits(value: float, count: int) -> str:
 
 
 def _test_json(test: FTest | None) -> dict[str, float] | None:
+    """Return a test as a JSON object; None if it was not made."""
     return None if test is None else {"F": test.f, "df": test.between, "df_error": test.within, "p": test.p}
 
 
 def _finite(value: float) -> float | None:
+    """Return a value, or None if it is not finite."""
     return value if np.isfinite(value) else None

@@ -22,7 +22,7 @@ class EffectSize:
 
 
 def omega_squared(test: FTest) -> EffectSize:
-    """Estimate omega squared of a test, partial where there is another factor; it is never below 0."""
+    """Estimate omega squared of a test, or its partial form if there is another factor; it is never below 0."""
     from scipy.stats import ncf
 
     count = test.between + test.within + 1.0
@@ -41,11 +41,11 @@ def _noncentrality(lower_tail: Callable[[float], float], tail: float) -> float:
 
     if lower_tail(1e-9) <= tail:
         return 0.0
-    high = 1.0
-    while lower_tail(high) > tail and high < MOST_NONCENTRALITY:
-        high *= 2.0
+    upper_bound = 1.0
+    while lower_tail(upper_bound) > tail and upper_bound < MOST_NONCENTRALITY:
+        upper_bound *= 2.0
     return (
-        float(brentq(lambda size: lower_tail(size) - tail, 1e-9, high))
-        if high < MOST_NONCENTRALITY
+        float(brentq(lambda noncentrality: lower_tail(noncentrality) - tail, 1e-9, upper_bound))
+        if upper_bound < MOST_NONCENTRALITY
         else MOST_NONCENTRALITY
     )

@@ -9,7 +9,7 @@ import numpy as np
 from leactl.analysis.anova.one_way import SIGNIFICANCE, Anova, combined_error
 from leactl.analysis.anova.values import Values
 
-CHI_PARTS = 2000  # of the distribution of the standard error
+CHI_PARTS = 2000  # of equal probability, of the distribution of the standard error
 POWER = 0.8  # share of such experiments in which the smallest visible difference would have passed the test
 
 
@@ -24,8 +24,8 @@ class PairwiseDifference:
     dof: float
     low: float
     high: float
-    compared: int  # conditions
-    smallest_seen: float  # size of a difference that would have passed this test in `POWER` of such experiments
+    condition_count: int  # of all compared conditions
+    smallest_seen: float  # magnitude of a difference that would have passed this test in `POWER` of such experiments
 
     @property
     def shown(self) -> bool:
@@ -37,24 +37,26 @@ class PairwiseDifference:
         """Return the probability of so large a difference between any two conditions if all were equal."""
         from scipy.stats import studentized_range
 
-        return float(studentized_range.sf(math.sqrt(2.0) * abs(self.difference) / self.std, self.compared, self.dof))
+        return float(
+            studentized_range.sf(math.sqrt(2.0) * abs(self.difference) / self.std, self.condition_count, self.dof)
+        )
 
 
 def pairs(values: Values, anova: Anova) -> list[PairwiseDifference]:
-    """Compare every pair of conditions."""
+    """Return the difference of every pair of conditions."""
     design = anova.design
-    columns, count = design.additive, len(design.conditions)
+    columns, condition_count = design.additive, len(design.conditions)
     inverse = np.linalg.pinv(columns)
     differences = []
-    for first in range(count):
-        for second in range(first + 1, count):
+    for first in range(condition_count):
+        for second in range(first + 1, condition_count):
             contrast = np.zeros(columns.shape[1])
             contrast[first], contrast[second] = -1.0, 1.0
             weights = contrast @ inverse  # of the values in the difference
-            spread = float(np.sum((weights @ design.cell) ** 2)) if anova.error.interaction else 0.0
-            variance, dof = combined_error(anova.error, float(weights @ weights), spread)
+            interaction_factor = float(np.sum((weights @ design.cell) ** 2)) if anova.error.interaction else 0.0
+            variance, dof = combined_error(anova.error, float(weights @ weights), interaction_factor)
             std, difference = math.sqrt(variance), float(weights @ values.value)
-            critical = _critical(count, round(dof, 6))
+            critical_value = _critical(condition_count, round(dof, 6))
             differences.append(
                 PairwiseDifference(
                     design.conditions[first],
@@ -62,21 +64,21 @@ def pairs(values: Values, anova: Anova) -> list[PairwiseDifference]:
                     difference,
                     std,
                     dof,
-                    difference - critical * std,
-                    difference + critical * std,
-                    count,
-                    std * _visible_difference(critical, round(dof, 6)),
+                    difference - critical_value * std,
+                    difference + critical_value * std,
+                    condition_count,
+                    std * _visible_difference(critical_value, round(dof, 6)),
                 )
             )
     return differences
 
 
 @cache
-def _critical(conditions: int, dof: float) -> float:
+def _critical(condition_count: int, dof: float) -> float:
     """Return the difference in standard errors beyond which a pair is significant."""
     from scipy.stats import studentized_range
 
-    return float(studentized_range.ppf(1.0 - SIGNIFICANCE, conditions, dof)) / math.sqrt(2.0)
+    return float(studentized_range.ppf(1.0 - SIGNIFICANCE, condition_count, dof)) / math.sqrt(2.0)
 
 
 @cache
@@ -88,9 +90,15 @@ def _visible_difference(critical: float, dof: float) -> float:
     from scipy.optimize import brentq
     from scipy.stats import chi2, norm
 
-    error = np.sqrt(chi2.ppf((np.arange(CHI_PARTS) + 0.5) / CHI_PARTS, dof) / dof)
+    relative_errors = np.sqrt(chi2.ppf((np.arange(CHI_PARTS) + 0.5) / CHI_PARTS, dof) / dof)
 
-    def power(size: float) -> float:
-        return float(np.mean(norm.sf(critical * error - size) + norm.cdf(-critical * error - size)))
+    def power(difference: float) -> float:
+        return float(
+            np.mean(
+                norm.sf(critical * relative_errors - difference) + norm.cdf(-critical * relative_errors - difference)
+            )
+        )
 
-    return float(brentq(lambda size: power(size) - POWER, 0.0, critical * float(error[-1]) + 10.0))
+    return float(
+        brentq(lambda difference: power(difference) - POWER, 0.0, critical * float(relative_errors[-1]) + 10.0)
+    )

@@ -1,7 +1,7 @@
 """Values for an analysis of variance: one result of an analysis for each trial, with its actuator and condition.
 
-Some analyses need more than one pass of the repeats, for one result or for all. The values of such results are also
-collected from whole runs, one for each run.
+Some analyses need several passes of the repeats for a result. The values of such results are also collected from whole
+runs, one value for each run.
 """
 
 from collections.abc import Sequence
@@ -31,11 +31,11 @@ from leactl.runfile.read.reader import Run, Step
 
 Array = npt.NDArray[np.float64]
 MOST_ANSWER_BYTES = 1 << 26  # an answer of 50 runs has 200 kB
-Figure = Annotated[float, Field(ge=-1e100, le=1e100)]  # its square must be finite
+Figure = Annotated[float, Field(ge=-1e100, le=1e100)]  # bounded, since its square must be finite
 
 
 class _Row(BaseModel):
-    """The fields that are read of one result in an answer."""
+    """One result in an answer, with the fields that are read."""
 
     model_config = ConfigDict(strict=True)
     name: str
@@ -49,7 +49,7 @@ class _Row(BaseModel):
 
 
 class _Answer(BaseModel):
-    """The fields that are read of an answer of `leactl analyze --json`."""
+    """An answer of `leactl analyze --json`, with the fields that are read."""
 
     model_config = ConfigDict(strict=True)
     experiment: str
@@ -66,7 +66,7 @@ class Values:
     value: Array
     actuator: npt.NDArray[np.str_]
     condition: npt.NDArray[np.str_]
-    run: npt.NDArray[np.int64]  # trials of one run have one setting of the condition in common
+    run: npt.NDArray[np.int64]  # trials of one run share one setting of the condition
     notes: tuple[str, ...] = ()
 
 
@@ -99,7 +99,7 @@ class ExperimentValues:
 
     experiment: str
     trials: dict[str, Values]
-    runs: dict[str, Values]  # one for each run; empty if the trials of each run have every result
+    runs: dict[str, Values]  # one value for each run; empty if the trials of each run have every result
 
 
 def values_of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) -> ExperimentValues:
@@ -110,13 +110,13 @@ def values_of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) 
 
     Parameters
     ----------
-    by_run : take each run as one value, all its repeats together.
+    by_run : whether each run gives one value, from all its repeats together.
     options : of the analysis.
 
     Raises
     ------
-    InputError : a file is neither a run nor an answer, is given twice, was altered or has no condition, or the files
-        are of different experiments.
+    InputError : no file is given, a file is neither a run nor an answer, is given twice, was altered or has no
+        condition, the files are of different experiments, or an option is unknown or given for an answer.
     NotIdentifiable : neither a trial nor a whole run could be analysed.
     """
     answers = [path for path in paths if path.suffix == ".json"]
@@ -127,11 +127,11 @@ def values_of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) 
     if not paths:
         raise InputError("nothing to compare; give run files, or answers of `leactl analyze --json`")
     trials: list[TrialResults] = []
-    kinds: dict[str, Path] = {}
+    path_of_experiment: dict[str, Path] = {}
     answer_of_run: dict[Path, Path] = {}
     for path in answers:
-        kind, answer_trials, answered_runs = _of_answer(path, len(trials))
-        kinds.setdefault(kind, path)
+        experiment_name, answer_trials, answered_runs = _of_answer(path, len(trials))
+        path_of_experiment.setdefault(experiment_name, path)
         trials += answer_trials
         for file in answered_runs:
             if file in answer_of_run:
@@ -140,55 +140,61 @@ def values_of_runs(paths: Sequence[Path], by_run: bool = False, **options: Any) 
     for path in files:
         if path.resolve() in answer_of_run:
             raise InputError(f"{path}: {answer_of_run[path.resolve()]} is an answer of it; give each run once")
-    with ExitStack() as opened:
-        runs = [opened.enter_context(Run.open(path)) for path in files]
+    with ExitStack() as open_files:
+        runs = [open_files.enter_context(Run.open(path)) for path in files]
         refuse_repeated(runs)
         refuse_altered(runs)
         for run in runs:
-            kinds.setdefault(experiment_of(run), run.path)
-        if len(kinds) > 1:
-            files_by_kind = ", ".join(f"{path} is '{kind}'" for kind, path in kinds.items())
-            raise InputError(f"different experiments: {files_by_kind}; give runs of one experiment")
-        first_number = len(trials)  # of the first run
-        single = joined(_of_run(run, number, by_run, options) for number, run in enumerate(runs, start=first_number))
+            path_of_experiment.setdefault(experiment_of(run), run.path)
+        if len(path_of_experiment) > 1:
+            experiments_text = ", ".join(
+                f"{path} is '{experiment_name}'" for experiment_name, path in path_of_experiment.items()
+            )
+            raise InputError(f"different experiments: {experiments_text}; give runs of one experiment")
+        first_run_number = len(trials)
+        trial_results = joined(
+            _of_run(run, number, by_run, options) for number, run in enumerate(runs, start=first_run_number)
+        )
         trials_lack_results = (
             not by_run
             and any(len(_repeats(run)) > 1 for run in runs)
-            and _lack_results([*trials, *single.value], first_number, len(runs))
+            and _lack_results([*trials, *trial_results.value], first_run_number, len(runs))
         )
-        analysed_whole = enumerate(runs if trials_lack_results else [], start=first_number)
-        whole_runs = joined(_of_run(run, number, True, options) for number, run in analysed_whole)
-    experiment = next(iter(kinds))
-    every_trial, every_run = [*trials, *single.value], [*trials, *whole_runs.value]
+        runs_to_pool = enumerate(runs if trials_lack_results else [], start=first_run_number)
+        whole_runs = joined(_of_run(run, number, True, options) for number, run in runs_to_pool)
+    experiment = next(iter(path_of_experiment))
+    every_trial, every_run = [*trials, *trial_results.value], [*trials, *whole_runs.value]
     if not every_trial and not (trials_lack_results and every_run):
         raise NotIdentifiable(
-            f"{experiment}: no {'run' if by_run else 'trial'} could be analysed: {listed(single.notes, 2)}"
+            f"{experiment}: no {'run' if by_run else 'trial'} could be analysed: {listed(trial_results.notes, 2)}"
         )
     missing_in_trials = "single trials give no uncertainty of it, or not under every condition"
-    reason = missing_in_trials if every_trial else f"no single trial could be analysed ({single.notes[-1]})"
+    reason = missing_in_trials if every_trial else f"no single trial could be analysed ({trial_results.notes[-1]})"
     run_notes = (f"one value a run, its repeats together: {reason}", *whole_runs.notes)
-    by_trial = _columns(every_trial, single.notes)
+    by_trial = _columns(every_trial, trial_results.notes)
     return ExperimentValues(experiment, by_trial, _columns(every_run, run_notes) if trials_lack_results else {})
 
 
 def _lack_results(trials: Sequence[TrialResults], first_number: int, count: int) -> bool:
-    """Return whether some run has a result without an uncertainty in all its trials.
+    """Return whether some run has a result that has no uncertainty in any of its trials.
 
-    The runs are the `count` ones from number `first_number` on.
+    The runs have the `count` numbers from `first_number` on.
     """
-    names = {item.name for trial in trials for item in trial.results}
-    with_std = {(trial.run, item.name) for trial in trials for item in trial.results if np.isfinite(item.std)}
+    names = {estimate.name for trial in trials for estimate in trial.results}
+    results_with_std = {
+        (trial.run, estimate.name) for trial in trials for estimate in trial.results if np.isfinite(estimate.std)
+    }
     numbers = range(first_number, first_number + count)
-    return any(not names or (run, name) not in with_std for run in numbers for name in names or {""})
+    return any(not names or (run, name) not in results_with_std for run in numbers for name in names or {""})
 
 
 def _repeats(run: Run) -> list[int]:
-    """Return the numbers of the repeats in a run; empty where its steps state none."""
+    """Return the numbers of the repeats in a run; empty if its steps state none."""
     return sorted({int(step.parameters["repeat"]) for step in run.steps if "repeat" in step.parameters})
 
 
 def _of_run(run: Run, number: int, by_run: bool, options: dict[str, Any]) -> Noted[list[TrialResults]]:
-    """Analyse each pass of a run's repeats, or the whole run; a note names the passes that give no result."""
+    """Return the results of each pass of a run's repeats, or of the whole run; a note names passes without a result."""
     experiment = experiment_of(run)
     analysis = analysis_of(experiment, str(run.path))
     given_options = {name: value for name, value in options.items() if value is not None}
@@ -206,21 +212,22 @@ def _of_run(run: Run, number: int, by_run: bool, options: dict[str, Any]) -> Not
         except NotIdentifiable as fault:
             failures.append((repeat, str(fault).removeprefix(f"{run.path}: ")))
     if failures:
-        failed = listed(repeat for repeat, _ in failures)
-        count = f"{len(failures)} of {len(passes)} trials gave nothing ({failed})"
-        summary = count if len(passes) > 1 else "it gave nothing"
+        failed_repeats = listed(repeat for repeat, _ in failures)
+        failure_text = f"{len(failures)} of {len(passes)} trials gave nothing ({failed_repeats})"
+        summary = failure_text if len(passes) > 1 else "it gave nothing"
         notes.append(f"{run.path}: {summary}: {failures[0][1]}")
     return Noted(trials, tuple(notes))
 
 
 def _analysed(analysis: Experiment, run: Run, options: dict[str, Any]) -> tuple[Estimate, ...]:
+    """Return the estimates of one run."""
     return analysis.answer([run], **options).results
 
 
 def _of_answer(path: Path, first_number: int) -> tuple[str, list[TrialResults], set[Path]]:
-    """Return experiment, trials and runs of an answer.
+    """Return the experiment, the trials and the paths of the runs of an answer.
 
-    It has one trial for each actuator and condition; these are numbered from `first_number` on.
+    There is one trial for each actuator and condition; their run numbers begin with `first_number`.
     """
     try:
         with open_regular(path, MOST_ANSWER_BYTES) as stream:
@@ -239,8 +246,8 @@ def _of_answer(path: Path, first_number: int) -> tuple[str, list[TrialResults], 
         )
     if any(not condition for _, condition in groups):
         raise InputError(f"{path}: its rows name no condition, as where one group was analysed; give the runs")
-    pairs = enumerate(groups.items(), start=first_number)
-    trials = [TrialResults(*group, number, tuple(estimates)) for number, (group, estimates) in pairs]
+    numbered_groups = enumerate(groups.items(), start=first_number)
+    trials = [TrialResults(*group, number, tuple(estimates)) for number, (group, estimates) in numbered_groups]
     return answer.experiment, trials, {Path(run).resolve() for run in answer.runs}
 
 
@@ -255,34 +262,37 @@ def experiment_of_answer(path: Path) -> str:
 
 
 def _columns(trials: Sequence[TrialResults], notes: Sequence[str]) -> dict[str, Values]:
-    """Collect the values of each result that has an uncertainty.
+    """Return the values of each result that has an uncertainty, by name.
 
-    Results that are part of another one, such as those of one direction, are left out: their name begins with its name.
+    A result that is part of another result, such as that of one direction, is left out. Its name begins with the name
+    of the other result and an underscore.
     """
     units_of_result: dict[str, str] = {}
     for trial in trials:
-        for item in trial.results:
-            is_part = any(item.name.startswith(f"{name}_") for name in units_of_result)
-            if np.isfinite(item.std) and not is_part:
-                units = units_of_result.setdefault(item.name, item.units)
-                if units != item.units:
-                    raise InputError(f"{item.name} is in {units} and in {item.units}; one unit was expected")
+        for estimate in trial.results:
+            is_part_of_another = any(estimate.name.startswith(f"{name}_") for name in units_of_result)
+            if np.isfinite(estimate.std) and not is_part_of_another:
+                units = units_of_result.setdefault(estimate.name, estimate.units)
+                if units != estimate.units:
+                    raise InputError(f"{estimate.name} is in {units} and in {estimate.units}; one unit was expected")
     columns = {}
     for name, units in units_of_result.items():
-        by_trial = [next((item.value for item in trial.results if item.name == name), np.nan) for trial in trials]
-        values = np.array(by_trial, np.float64)
+        trial_values = [
+            next((estimate.value for estimate in trial.results if estimate.name == name), np.nan) for trial in trials
+        ]
+        values = np.array(trial_values, np.float64)
         finite = np.isfinite(values)
         column_notes = list(notes)
         if not finite.all():
             column_notes.append(f"{name}: {int((~finite).sum())} of {len(values)} values are missing and left out")
-        with_value = [trial for trial, is_finite in zip(trials, finite, strict=True) if is_finite]
+        trials_with_value = [trial for trial, is_finite in zip(trials, finite, strict=True) if is_finite]
         columns[name] = Values(
             name,
             units,
             values[finite],
-            np.array([trial.actuator for trial in with_value], np.str_),
-            np.array([trial.condition for trial in with_value], np.str_),
-            np.array([trial.run for trial in with_value], np.int64),
+            np.array([trial.actuator for trial in trials_with_value], np.str_),
+            np.array([trial.condition for trial in trials_with_value], np.str_),
+            np.array([trial.run for trial in trials_with_value], np.int64),
             tuple(column_notes),
         )
     return columns
