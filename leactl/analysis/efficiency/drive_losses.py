@@ -1,4 +1,4 @@
-"""Loss of the drives: power of their DC link less the power at the terminals of both actuators."""
+"""Loss of the drives: power of their DC link minus the power at the terminals of both actuators."""
 
 from collections.abc import Sequence
 
@@ -15,15 +15,16 @@ FEWEST_HOLDS = 2  # with a current of the DC link
 
 
 def drives_loss(runs: Sequence[Run], points: OperatingPoints, calibration: PowerCalibration) -> Noted[list[Estimate]]:
-    """Estimate the loss of both drives together [W], mean over the holds.
+    """Estimate the loss of both drives together [W] as the mean over the holds.
 
-    The list is empty without measured q-axis voltages and DC link current. Holds in which the DC link shows no power
-    are left out: a supply that cannot take power back hides what the drives return.
+    The list is empty if q-axis voltages or the current of the DC link were not measured, or if too few holds remain.
+    Holds in which the DC link shows no power are left out: a supply that cannot take power back hides the power that
+    the drives return.
     """
-    links = [link_of(run) for run in runs]
+    link_channels = [link_of(run) for run in runs]
     if (
         not calibration.by_measured_voltage
-        or not all(links)
+        or not all(link_channels)
         or not all(("q_axis_current", role) in points.value for role in OTHER_ROLE)
     ):
         note = (
@@ -34,7 +35,7 @@ def drives_loss(runs: Sequence[Run], points: OperatingPoints, calibration: Power
     terminal_powers = np.sum([balance(points, role, True, calibration).electrical for role in OTHER_ROLE], axis=0)
     losses = []
     for grid_hold, terminal_power in zip(points.holds, terminal_powers, strict=True):
-        channels = links[grid_hold.run]
+        channels = link_channels[grid_hold.run]
         assert channels is not None
         means = [settled_mean(channel, grid_hold.hold.start, grid_hold.hold.stop) for channel in channels]
         if np.isfinite(terminal_power) and all(mean is not None and mean.value > 0.0 for mean in means):
@@ -42,13 +43,13 @@ def drives_loss(runs: Sequence[Run], points: OperatingPoints, calibration: Power
             losses.append(voltage * current - terminal_power)
     if len(losses) < FEWEST_HOLDS:
         return Noted([], ("losses of the drives are not known: too few holds with a current of the DC link",))
-    value, std = float(np.mean(losses)), float(np.std(losses, ddof=1)) / np.sqrt(len(losses))
-    half = t_quantile(len(losses) - 1) * std
-    return Noted([Estimate("drives_loss", value, std, value - half, value + half, "W")])
+    mean_loss, std = float(np.mean(losses)), float(np.std(losses, ddof=1)) / np.sqrt(len(losses))
+    half_width = t_quantile(len(losses) - 1) * std
+    return Noted([Estimate("drives_loss", mean_loss, std, mean_loss - half_width, mean_loss + half_width, "W")])
 
 
 def link_of(run: Run) -> tuple[Channel, Channel] | None:
-    """Return voltage and current of the supply of the drives, from one device; None where the run lacks them."""
+    """Return voltage and current of the drives' DC link, measured by one device; None if the run lacks one of them."""
     for role in ("bench", *OTHER_ROLE):
         for current in run.channels("bus_current", role):
             for voltage in run.channels("bus_voltage", role):

@@ -2,8 +2,8 @@
 
 Every result is a mean over points of a quantity computed from each point's readings. An error of one reading affects
 one point; an error of a calibration or a zero affects all points together. Each input is therefore shifted by its
-standard uncertainty and the result computed again (GUM, 5.1.3, note 2). Where passes through the grid differ by more
-than these uncertainties explain, the standard error of the mean of the passes replaces scatter and zero.
+standard uncertainty and the result computed again (GUM, 5.1.3, note 2). If passes through the grid differ by more than
+these uncertainties explain, the standard error of the mean of the passes replaces scatter and zero.
 """
 
 import math
@@ -52,7 +52,7 @@ class MapMeans:
         return np.asarray(1.0 / repeats / self.reached_points)
 
     def over_map(self, quantity: str, column: Array | None = None) -> Array:
-        """Return the mean of a quantity over the repeats of each point, shape (speeds, currents); NaN without a repeat.
+        """Return the mean of a quantity over the repeats of each point, shape (speeds, currents); NaN if never held.
 
         `column`, shape (holds,), replaces the values of the quantity.
         """
@@ -73,24 +73,27 @@ class MapMeans:
         return np.sqrt(independent_square + sum(change**2 for change in common_changes))
 
     def mean(self, quantity: str, name: str, units: str) -> Estimate:
-        """Estimate the mean of a quantity of `Balance` over the map."""
+        """Estimate the mean over the map of a quantity, an attribute of `Balance`."""
         value = self._weighted_mean(getattr(self.balance, quantity))
-        independent = sum(
+        independent_variance = sum(
             float(np.sum((self.weights * np.where(self.held, change, 0.0)) ** 2))
             for change in self._changes_by_channel(quantity)
         )
         zero_variance = sum((self._weighted_mean(column) - value) ** 2 for column in self._with_shifted_zeros(quantity))
-        variance, dof = self._variance_by_passes(quantity, independent + zero_variance)
+        variance, dof = self._variance_by_passes(quantity, independent_variance + zero_variance)
         calibration_variance = sum(
             (self._weighted_mean(column) - value) ** 2 for column in self._with_shifted_calibrations(quantity)
         )
         std = math.sqrt(variance + calibration_variance)
-        effective = dof * (std**2 / variance) ** 2 if variance > 0.0 else math.inf
-        half = t_quantile(effective) * std
-        return Estimate(name, value, std, value - half, value + half, units)
+        effective_dof = dof * (std**2 / variance) ** 2 if variance > 0.0 else math.inf
+        half_width = t_quantile(effective_dof) * std
+        return Estimate(name, value, std, value - half_width, value + half_width, units)
 
     def spread(self, name: str) -> Estimate:
-        """Return the standard deviation of the efficiency over the map; the paper prints three times this value."""
+        """Return the standard deviation of the efficiency over the map; NaN for a single point.
+
+        The paper prints three times this value.
+        """
         return Estimate(
             name,
             float(np.nanstd(self.over_map("efficiency"), ddof=1)) if self.reached_points > 1 else NAN,
@@ -103,37 +106,40 @@ class MapMeans:
     def highest(self, name: str) -> Estimate:
         """Estimate the highest efficiency of the map."""
         efficiency = self.over_map("efficiency")
-        best = np.unravel_index(int(np.nanargmax(efficiency)), efficiency.shape)
-        value, std = float(efficiency[best]), float(self.std_over_map("efficiency")[best])
-        half = t_quantile(math.inf) * std
-        return Estimate(name, value, std, value - half, value + half, "1")
+        best_point = np.unravel_index(int(np.nanargmax(efficiency)), efficiency.shape)
+        value, std = float(efficiency[best_point]), float(self.std_over_map("efficiency")[best_point])
+        half_width = t_quantile(math.inf) * std
+        return Estimate(name, value, std, value - half_width, value + half_width, "1")
 
     def remarks(self, prefix: str) -> list[str]:
         """Return notes on points without a value, and on points with fewer repeats than others; `prefix` opens them."""
         notes = []
         point_count = self.counts.size
         if self.reached_points < point_count:
-            absent = [
+            absent_points = [
                 f"{self.speeds[row]:g} rad/s {self.currents[column]:g} A"
                 for row, column in np.argwhere(self.counts == 0)
             ]
             notes.append(
-                f"{prefix}: {self.reached_points} of {point_count} points were held; no value at {listed(absent, 6)}"
+                f"{prefix}: {self.reached_points} of {point_count} points were held;"
+                f" no value at {listed(absent_points, 6)}"
             )
         planned_repeats = np.zeros_like(self.counts)
         np.add.at(planned_repeats, self.cells, 1.0)
-        fewer = int(np.sum((self.counts > 0) & (self.counts < planned_repeats.max())))
-        if fewer:
+        fewer_repeats = int(np.sum((self.counts > 0) & (self.counts < planned_repeats.max())))
+        if fewer_repeats:
             notes.append(
-                f"{prefix}: {fewer} points have fewer than {planned_repeats.max():g} repeats; each point counts once"
-                " all the same"
+                f"{prefix}: {fewer_repeats} points have fewer than {planned_repeats.max():g} repeats; each point counts"
+                " once all the same"
             )
         return notes
 
     def _weighted_mean(self, column: Array) -> float:
+        """Return the mean over the map of the values of each hold, shape (holds,)."""
         return float(np.sum(self.weights * np.where(self.held, column, 0.0)))
 
     def _balance(self, points: OperatingPoints, calibration: PowerCalibration) -> Balance:
+        """Return the powers of this map's actuator at points, computed with a calibration."""
         return balance(points, self.role, self.driving, calibration)
 
     def _changes_by_channel(self, quantity: str) -> list[Array]:
@@ -153,23 +159,25 @@ class MapMeans:
         calibrations = [replace(nominal, **{name: getattr(nominal, name) + std}) for name, std in self._stds.items()]
         return [getattr(self._balance(self.points, calibration), quantity) for calibration in calibrations]
 
-    def _variance_by_passes(self, quantity: str, explained: float) -> tuple[float, float]:
+    def _variance_by_passes(self, quantity: str, explained_variance: float) -> tuple[float, float]:
         """Return variance and degrees of freedom of the mean over the map.
 
-        They follow from complete passes through the grid where these scatter by more than the variance `explained`.
+        They follow from complete passes through the grid if these scatter by more than `explained_variance`.
         """
         column = getattr(self.balance, quantity)
-        labels = np.array([(grid_hold.run, grid_hold.pass_number) for grid_hold in self.points.holds])
-        means = []
-        for label in np.unique(labels, axis=0):
-            in_pass = np.all(labels == label, axis=1)
+        pass_of_hold = np.array([(grid_hold.run, grid_hold.pass_number) for grid_hold in self.points.holds])
+        pass_means = []
+        for pass_label in np.unique(pass_of_hold, axis=0):
+            in_pass = np.all(pass_of_hold == pass_label, axis=1)
             if self.held[in_pass].sum() == self.reached_points:
-                means.append(float(np.mean(column[in_pass & self.held])))
-        if len(means) < 2:
-            return explained, math.inf
+                pass_means.append(float(np.mean(column[in_pass & self.held])))
+        if len(pass_means) < 2:
+            return explained_variance, math.inf
         from scipy.special import chdtrc
 
-        dof, variance = len(means) - 1, float(np.var(means, ddof=1)) / len(means)
-        if variance <= explained or (explained > 0.0 and chdtrc(dof, dof * variance / explained) > POOLING_P_VALUE):
-            return explained, math.inf
+        dof, variance = len(pass_means) - 1, float(np.var(pass_means, ddof=1)) / len(pass_means)
+        if variance <= explained_variance or (
+            explained_variance > 0.0 and chdtrc(dof, dof * variance / explained_variance) > POOLING_P_VALUE
+        ):
+            return explained_variance, math.inf
         return variance, dof

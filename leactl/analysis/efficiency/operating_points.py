@@ -19,9 +19,9 @@ from leactl.errors import MissingChannel, NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run
 
 OTHER_ROLE = {"test": "load", "load": "test"}
-MOST_SETPOINT_ERROR = 0.02  # of the setpoint, by which a mean may differ from it
-LEAST_OPPOSITE = 0.5  # of the setpoint; a larger reading of opposite sign has its sign swapped
-MOST_QUARTER_CHANGE = 0.02  # of the mean, by which the quarters of a settled part may differ
+MOST_SETPOINT_ERROR = 0.02  # of the setpoint; a mean that differs by more was not reached
+LEAST_OPPOSITE_READING = 0.5  # of the setpoint; a larger mean of opposite sign has its sign swapped
+MOST_QUARTER_SPREAD = 0.02  # of the mean; a hold whose quarters differ by more was not steady
 ChannelKey = tuple[str, str]  # quantity and role of a channel
 
 
@@ -29,7 +29,7 @@ ChannelKey = tuple[str, str]  # quantity and role of a channel
 class GridHold:
     """One hold of one point of the grid."""
 
-    run: int
+    run: int  # number of the run
     speed: float  # rad/s, setpoint
     current: float  # A, setpoint of the driven actuator
     driving: str  # role of the driving actuator
@@ -45,7 +45,7 @@ class OperatingPoints:
     """Means of every hold of the grid; element k of each array belongs to hold k, NaN where the bench missed it."""
 
     holds: tuple[GridHold, ...]
-    value: Mapping[ChannelKey, Array]  # settled means; no entry where a run has no such channel
+    value: Mapping[ChannelKey, Array]  # settled means; no entry if no run has such a channel
     std: Mapping[ChannelKey, Array]  # their standard errors
     zero_std: Array  # N*m, of the torque sensor's zero in each run
 
@@ -69,7 +69,7 @@ class OperatingPoints:
 
 
 def gather_grid(runs: Sequence[Run]) -> Noted[OperatingPoints]:
-    """Average the channels over every hold of the runs' grids; notes say why a hold is left out.
+    """Return the means of the channels over every hold of the runs' grids; notes say why a hold is left out.
 
     Raises
     ------
@@ -101,23 +101,23 @@ def gather_grid(runs: Sequence[Run]) -> Noted[OperatingPoints]:
                 columns.setdefault(key, [(NAN, NAN)] * len(holds)).append(row.get(key, (NAN, NAN)))
             holds.append(grid_hold)
         notes += [*channels.notes, *torque_zero.notes, *tally(left_out, f"{run.path}")]
-    pairs = {key: np.array(rows) for key, rows in columns.items()}
-    value = {key: rows[:, 0] for key, rows in pairs.items()}
-    errors = {key: rows[:, 1] for key, rows in pairs.items()}
-    return Noted(OperatingPoints(tuple(holds), value, errors, np.array(zero_stds)), tuple(notes))
+    values_and_errors = {key: np.array(rows) for key, rows in columns.items()}
+    value = {key: rows[:, 0] for key, rows in values_and_errors.items()}
+    standard_errors = {key: rows[:, 1] for key, rows in values_and_errors.items()}
+    return Noted(OperatingPoints(tuple(holds), value, standard_errors, np.array(zero_stds)), tuple(notes))
 
 
 def grid_holds(run: Run, number: int = 0) -> list[GridHold]:
-    """Return the steps `hold` of run `number` that state both a velocity and a current, in order."""
+    """Return the steps `hold` of run `number` that state a role, a velocity and a current, in order."""
     holds = []
     for step in run.steps:
         setpoints = [step.parameters.get(key) for key in ("velocity_rad_s", "current_A")]
-        numeric = [
+        is_number = [
             isinstance(setpoint, int | float) and not isinstance(setpoint, bool) and math.isfinite(setpoint)
             for setpoint in setpoints
         ]
         role = step.parameters.get("role")
-        if step.name == "hold" and all(numeric) and role in OTHER_ROLE:
+        if step.name == "hold" and all(is_number) and role in OTHER_ROLE:
             speed, current = (float(setpoint) for setpoint in setpoints)  # type: ignore[arg-type]
             hold = Hold(current, 0, step.start + step.settle, step.stop)
             repeat = step.parameters.get("repeat", 1)
@@ -138,9 +138,9 @@ def channels_of(run: Run, holds: Sequence[GridHold]) -> Noted[dict[ChannelKey, C
         channels |= {
             (quantity, role): run.channel(quantity, role=role) for role in OTHER_ROLE if run.has(quantity, role)
         }
-    if not any(key[0] == "velocity" for key in channels):
+    if not any(quantity == "velocity" for quantity, _ in channels):
         raise MissingChannel(f"{run.path}: no velocity of test or load")
-    if not any(key[0] == "q_axis_current" for key in channels):
+    if not any(quantity == "q_axis_current" for quantity, _ in channels):
         raise MissingChannel(f"{run.path}: no q_axis_current of test or load")
     speed_holds = [replace(grid_hold.hold, setpoint=grid_hold.speed) for grid_hold in holds]
     notes: list[str] = []
@@ -154,15 +154,18 @@ def channels_of(run: Run, holds: Sequence[GridHold]) -> Noted[dict[ChannelKey, C
         without_repeats = without_repeated_readings(unsaturated, current_holds, str(run.path))
         channels[quantity, role] = without_repeats.value
         notes += without_repeats.notes
-    absent = [role for role in OTHER_ROLE if ("q_axis_current", role) not in channels]
-    notes += [f"{run.path}: no current of the {role} actuator, so there is no efficiency of it" for role in absent]
+    roles_without_current = [role for role in OTHER_ROLE if ("q_axis_current", role) not in channels]
+    notes += [
+        f"{run.path}: no current of the {role} actuator, so there is no efficiency of it"
+        for role in roles_without_current
+    ]
     return Noted(channels, tuple(notes))
 
 
 def means_of(
     holds: Sequence[GridHold], channels: Mapping[ChannelKey, Channel]
 ) -> list[tuple[GridHold, dict[ChannelKey, SettledMean | None]]]:
-    """Average each channel over each hold; None for a channel with too few readings in the hold."""
+    """Return the mean of each channel over each hold; None for a channel with too few readings in the hold."""
     return [
         (
             grid_hold,
@@ -177,30 +180,33 @@ def means_of(
 
 def reason_to_leave_out(grid_hold: GridHold, means: Mapping[ChannelKey, SettledMean | None]) -> str:
     """Return the reason to leave out a hold; empty if the hold counts."""
-    lacking = sorted({key[0] for key, mean in means.items() if mean is None})
-    if lacking:
-        return f"too little {' and '.join(lacking)} in the settled part"
+    lacking_quantities = sorted({quantity for (quantity, _), mean in means.items() if mean is None})
+    if lacking_quantities:
+        return f"too little {' and '.join(lacking_quantities)} in the settled part"
     complete_means = {key: mean for key, mean in means.items() if mean is not None}
-    for key, mean in complete_means.items():
-        setpoint = grid_hold.speed if key[0] == "velocity" else grid_hold.current
-        follows = key[0] == "velocity" or key == ("q_axis_current", OTHER_ROLE[grid_hold.driving])
-        if follows and mean.value * setpoint < 0.0 and abs(mean.value) > LEAST_OPPOSITE * abs(setpoint):
-            return f"{key[0]} of {key[1]} has the opposite sign of its setpoint"
+    for (quantity, role), mean in complete_means.items():
+        setpoint = grid_hold.speed if quantity == "velocity" else grid_hold.current
+        follows = quantity == "velocity" or (quantity, role) == ("q_axis_current", OTHER_ROLE[grid_hold.driving])
+        if follows and mean.value * setpoint < 0.0 and abs(mean.value) > LEAST_OPPOSITE_READING * abs(setpoint):
+            return f"{quantity} of {role} has the opposite sign of its setpoint"
         if follows and abs(mean.value - setpoint) > MOST_SETPOINT_ERROR * abs(setpoint):
-            return f"{key[0]} was not reached"
-    for key, mean in complete_means.items():
-        change = float(np.nanmax(mean.quarters) - np.nanmin(mean.quarters))
+            return f"{quantity} was not reached"
+    for (quantity, _), mean in complete_means.items():
+        spread = float(np.nanmax(mean.quarters) - np.nanmin(mean.quarters))
         # a voltage rises as the winding warms
-        if key[0] != "q_axis_voltage" and change > MOST_QUARTER_CHANGE * abs(mean.value):
-            return f"{key[0]} was not steady"
+        if quantity != "q_axis_voltage" and spread > MOST_QUARTER_SPREAD * abs(mean.value):
+            return f"{quantity} was not steady"
     return ""
 
 
 def zero_of(run: Run, torque: Channel) -> Noted[tuple[float, float]]:
-    """Return the torque sensor's zero and its standard error [N*m]: the mean over the steps `zero`, else exactly 0."""
+    """Return the torque sensor's zero and its standard error [N*m], the mean over the steps `zero`.
+
+    Without such steps both are 0, and a note says so.
+    """
     steps = [step for step in run.steps if step.name == "zero"]
-    averaged = [settled_mean(torque, step.start + step.settle, step.stop) for step in steps]
-    means = [mean for mean in averaged if mean is not None]
+    means_of_steps = [settled_mean(torque, step.start + step.settle, step.stop) for step in steps]
+    means = [mean for mean in means_of_steps if mean is not None]
     if not means:
         note = f"{run.path}: no step 'zero' with drives off; the torque sensor's zero is taken as exact"
         return Noted((0.0, 0.0), (note,))

@@ -1,7 +1,7 @@
 """Power balance of one actuator at every operating point: electrical, mechanical, copper loss and friction loss.
 
-Electrical power is V i of the q axis. V is measured where the drives report their q-axis voltages; the paper's drives
-do not, and there V = R i + Kb w, at the winding temperature that R holds for. Mechanical power is that at the torque
+Electrical power is V i of the q axis. V is measured if the drives report their q-axis voltages. The paper's drives do
+not; then V = R i + Kb w, at the winding temperature at which R is stated. Mechanical power is that at the torque
 sensor. Kb w i is the power on the rotor; the part of it that does not reach the shaft is lost in friction.
 """
 
@@ -18,12 +18,12 @@ TORQUE_SIGN = {"test": 1.0, "load": -1.0}  # sign of an actuator's torque: the s
 
 @dataclass(frozen=True)
 class PowerCalibration:
-    """Constants that powers are computed with; `replace` one of them to see its effect."""
+    """Constants from which powers are computed; `replace` one of them to see its effect."""
 
     resistance: float  # ohm, of the q axis; NaN if unknown
     back_emf_constant: float  # V*s/rad; NaN if unknown
-    by_measured_voltage: bool
-    torque_gain: float = 1.0
+    by_measured_voltage: bool  # else the voltage follows from resistance and back-EMF constant
+    torque_gain: float = 1.0  # by which readings of the torque are multiplied
     current_gain: float = 1.0
     voltage_gain: float = 1.0
     zero: Mapping[int, float] | None = None  # N*m, of the torque sensor, by run
@@ -37,14 +37,14 @@ class Balance:
     current: Array  # A
     voltage: Array  # V
     torque: Array  # N*m, of this actuator onto the shaft
-    electrical: Array
-    mechanical: Array
-    copper: Array
+    electrical: Array  # W
+    mechanical: Array  # W
+    copper: Array  # W, loss
     driving: bool
 
     @property
     def loss(self) -> Array:
-        """Return the electrical less the mechanical power [W]."""
+        """Return the electrical minus the mechanical power [W]."""
         return self.electrical - self.mechanical
 
     @property
@@ -61,7 +61,7 @@ class Balance:
 
 
 def balance(points: OperatingPoints, role: str, driving: bool, calibration: PowerCalibration) -> Balance:
-    """Compute the powers of a role's actuator at points at which it drives, or is driven where `driving` is false."""
+    """Return the powers of a role's actuator at points at which it drives, or is driven if `driving` is false."""
     speeds = [
         points.value["velocity", speed_role]
         for speed_role in (role, OTHER_ROLE[role])
@@ -69,8 +69,8 @@ def balance(points: OperatingPoints, role: str, driving: bool, calibration: Powe
     ]
     speed = np.where(np.isfinite(speeds[0]), speeds[0], speeds[-1])
     current = calibration.current_gain * points.value["q_axis_current", role]
-    zero = np.array([(calibration.zero or {}).get(int(run), 0.0) for run in points.run])
-    torque = TORQUE_SIGN[role] * calibration.torque_gain * (points.value["torque", "test"] - zero)
+    torque_zero = np.array([(calibration.zero or {}).get(int(run), 0.0) for run in points.run])
+    torque = TORQUE_SIGN[role] * calibration.torque_gain * (points.value["torque", "test"] - torque_zero)
     back_emf = calibration.back_emf_constant * speed
     if calibration.by_measured_voltage:
         voltage = calibration.voltage_gain * points.value["q_axis_voltage", role]
