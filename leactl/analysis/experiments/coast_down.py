@@ -147,7 +147,7 @@ def run_outs_of(run: Run, number: int) -> Noted[list[RunOut]]:
     run_outs: list[RunOut] = []
     left_out: dict[str, list[str]] = {}
     steps = run.steps
-    velocity, current = (usable_channel(run, name, VELOCITY_HOLDS, least=1) for name in (VELOCITY, CURRENT))
+    velocity, current = (usable_channel(run, name, VELOCITY_HOLDS, fewest_levels=1) for name in (VELOCITY, CURRENT))
     for step in (step for step in steps if step.name == COAST):
         try:
             run_outs.append(run_out_of(run, number, step, velocity.value, current.value))

@@ -184,7 +184,7 @@ def usable_readings(run: Run, quantity: str) -> Noted[Channel]:
         raise NotIdentifiable(
             f"{run.path}: {CURRENT} of test is saturated at {limits_text}; what flows beyond is not known"
         )
-    return usable_channel(run, quantity, least=1)
+    return usable_channel(run, quantity, fewest_levels=1)
 
 
 def as_lower_bound(highest: Estimate, stop: float) -> Estimate:

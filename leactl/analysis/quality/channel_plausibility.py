@@ -1,9 +1,9 @@
 """Judge every measured channel of a run by its demand, its noise and its neighbours before an analysis reads it.
 
-A channel is condemned where it contradicts its demand throughout, has the wrong sign, is zero throughout, or, for a
-line current, repeats a reading other than zero for a part of the record: an analysis that reads it is refused with the
-reason, and if no analysis reads it, the reason is a note. Whatever is less gives a note. No threshold has a unit or
-depends on the sampling rate, except the plausible ambient temperatures.
+A channel is condemned if it contradicts its demand throughout, has the wrong sign, is zero throughout, or, for a line
+current, repeats a reading other than zero for a part of the record. An analysis that reads a condemned channel fails
+with the reason; the reason is also a note. A smaller doubt is only a note. No threshold has a unit or depends on the
+sampling rate, except the plausible ambient temperatures.
 """
 
 from collections.abc import Iterator
@@ -23,8 +23,8 @@ DEMANDS = {
     "velocity": "velocity_reference",
     "angle": "angle_reference",
 }
-HOLD_KEYS = {"q_axis_current": "current_A", "velocity": "velocity_rad_s"}  # of the demand among a hold's parameters
-PARTNERS = {  # while one changes far, the other must change too
+HOLD_KEYS = {"q_axis_current": "current_A", "velocity": "velocity_rad_s"}  # parameter of a hold that is the demand
+PARTNERS = {  # while one changes much, the other must change too
     "line_voltage": "line_current",
     "line_current": "line_voltage",
     "phase_voltage_ab": "phase_voltage_bc",
@@ -32,17 +32,17 @@ PARTNERS = {  # while one changes far, the other must change too
     "phase_voltage_ca": "phase_voltage_ab",
 }
 VOLTAGE_LOOP = ("phase_voltage_ab", "phase_voltage_bc", "phase_voltage_ca")  # add up to zero
-MOST_UNBALANCE = 0.3  # of a voltage between leads, in their sum; gains of a data acquisition are a few percent apart
-FEWEST_VOLTAGES = 20  # readings of all three
-CONTROLLED_BY_CURRENT = ("velocity", "angle")
+MOST_UNBALANCE = 0.3  # rms of the voltages' sum over that of one; gains of a converter are a few percent apart
+FEWEST_VOLTAGES = 20  # instants at which all three are read
+CONTROLLED_BY_CURRENT = ("velocity", "angle")  # a demand of these changes the current
 CONSTANT_AT_REST = ("q_axis_current", "velocity", "angle")  # while the drive is off or the shaft stands
 NEVER_NEGATIVE = ("bus_voltage",)
 HEATED_QUANTITIES = ("winding_temperature", "housing_temperature")  # all locations of a region warm and cool together
 SUPPLY_QUANTITIES = ("line_current", "line_voltage")
 NEVER_ZERO = ("bus_voltage", "winding_temperature", "housing_temperature", "ambient_temperature", "drive_temperature")
-LONGEST_VOLTAGE_REPEAT = 0.25  # share of a record; across a warming winding, the voltage does not stay equal so long
-WARMEST_ROOM = 60.0  # degC; people and instruments work between 0 degC and this
-NOT_MEASURED = ("drive_enabled",)
+LONGEST_VOLTAGE_REPEAT = 0.25  # share of a record; the voltage across a warming winding is not equal for so long
+WARMEST_ROOM = 60.0  # degC; a plausible room is between 0 degC and this
+NOT_MEASURED = ("drive_enabled",)  # states, not readings
 MOST_MISSING_SHARE = 0.01  # of a channel's readings; a note names a larger share
 CONDEMNING_REPEAT_SHARE = 0.99  # of a channel's readings; a longer repeat condemns the channel
 MOST_PATH_DIFFERENCE = 0.5  # of path and integral, over the larger of the two; the lag of a filter causes less
@@ -51,11 +51,11 @@ FEWEST_CONTRADICTING_PARTS = 3  # parts of the record in which path and integral
 FEWEST_READINGS = 3  # of a channel; more are needed to say that it repeats one reading throughout
 MOTION_PARTS = 64  # of a record, in each of which path and integral are compared
 COUNTS_OF_MOTION = 10.0  # of the encoder; with less travel, the shaft may stand
-NOISE_STDS = 5.0  # of the integrated noise of a velocity in a part; more has a probability of 1e-6 a part
+NOISE_STDS = 5.0  # of the integrated noise of a velocity in a part; more has a probability of 1e-6
 
 
 def channel_doubts(run: Run) -> list[str]:
-    """Return notes on the doubtful channels of a run; channels that contradict their demand are condemned."""
+    """Return notes on the doubtful channels of a run; those that cannot be a measurement become condemned."""
     notes = beyond_limits([run], [name for name in LIMIT_KEYS if run.channels(name)])
     notes += [note for role in ("test", "load") for note in motion_contradictions(run, role)]
     notes += [note for role in ("test", "load") for note in voltage_contradictions(run, role)]
@@ -98,8 +98,8 @@ def notes_on_channel(run: Run, name: str, channel: Channel) -> Iterator[str]:
     )
     if tracking is not None and tracking.fault == "unit":
         yield f"{opening} is {tracking.gain:.3g} times its demand: check its units"
-    finite = np.flatnonzero(np.isfinite(channel.values))
-    missing_share = float(np.mean(~np.isfinite(channel.values[finite[0] : finite[-1] + 1])))
+    finite_indices = np.flatnonzero(np.isfinite(channel.values))
+    missing_share = float(np.mean(~np.isfinite(channel.values[finite_indices[0] : finite_indices[-1] + 1])))
     if missing_share > MOST_MISSING_SHARE:
         yield f"{opening}: {missing_share:.1%} of its readings are missing"
 
@@ -111,23 +111,26 @@ def label_of(channel: Channel) -> str:
 
 
 def contradiction(run: Run, channel: Channel) -> str:
-    """Return the reason why a channel cannot be a measurement; empty if it can."""
+    """Return the reason why a channel cannot be a measurement; empty if it can be one."""
     demand = demand_of(run, channel)
     if demand is not None:
         tracking = compare_with_demand(demand, channel.values, from_zero=channel.quantity != "angle")
         fault = tracking.fault if tracking is not None else ""
-        largest = index_of_largest(demand)
-        moment = f"{channel.time[largest]:.3g} s{step_at(run, channel, largest)}"
-        demanded = f"{demand[largest]:.4g} {channel.units} were demanded at {moment}"
-        reading = f"{channel.values[largest]:.4g}"
+        largest_index = index_of_largest(demand)
+        time_text = f"{channel.time[largest_index]:.3g} s{step_at(run, channel, largest_index)}"
+        demand_text = f"{demand[largest_index]:.4g} {channel.units} were demanded at {time_text}"
+        reading_text = f"{channel.values[largest_index]:.4g}"
         if fault == "opposite":
-            return f"has the opposite sign of its demand: it reads {reading} where {demanded}; {SIGN_SWAPPED}"
+            return f"has the opposite sign of its demand: it reads {reading_text} where {demand_text}; {SIGN_SWAPPED}"
         if fault == "dead":
-            return f"does not follow its demand: it reads {reading} where {demanded}; is its sensor connected?"
-    if channel.quantity in HEATED_QUANTITIES and len(other_places := neighbours(run, channel, region_of(channel))) > 1:
-        tracking = compare_with_demand(np.median(other_places, axis=0), channel.values, from_zero=False)
+            return f"does not follow its demand: it reads {reading_text} where {demand_text}; is its sensor connected?"
+    if (
+        channel.quantity in HEATED_QUANTITIES
+        and len(other_locations := neighbours(run, channel, region_of(channel))) > 1
+    ):
+        tracking = compare_with_demand(np.median(other_locations, axis=0), channel.values, from_zero=False)
         if tracking is not None and tracking.fault == "opposite":
-            return f"falls where the {len(other_places)} other places of its region rise: its sign is turned"
+            return f"falls where the {len(other_locations)} other places of its region rise: its sign is turned"
     if channel.quantity in NEVER_ZERO and not np.any(np.nan_to_num(channel.values)):
         return f"reads exactly 0 {channel.units} throughout; is its sensor connected?"
     if channel.quantity in NEVER_NEGATIVE and float(np.nanmedian(channel.values)) < 0.0:
@@ -141,8 +144,8 @@ def reason_for_hanging(run: Run, channel: Channel, repeat: RepeatedReading) -> s
     if channel.quantity in (*HEATED_QUANTITIES, *SUPPLY_QUANTITIES) and leaves_its_range(channel, repeat):
         return ""  # the analysis reports these readings and leaves them out
     companion_moves = any(stands_while_companion_moves(repeat, companion) for companion in companions(run, channel))
-    at_rest_zero = channel.quantity in CONSTANT_AT_REST and repeat.value == 0.0
-    if not companion_moves and (at_rest_zero or channel.quantity == "angle" or not hangs(channel.values, repeat)):
+    may_be_at_rest = channel.quantity in CONSTANT_AT_REST and repeat.value == 0.0
+    if not companion_moves and (may_be_at_rest or channel.quantity == "angle" or not hangs(channel.values, repeat)):
         return ""
     start, stop = float(channel.time[repeat.first]), float(channel.time[repeat.last])
     evidence = "although what moves with it did" if companion_moves else "although its noise shows elsewhere"
@@ -196,7 +199,7 @@ def demand_of(run: Run, channel: Channel, quantity: str = "") -> Array | None:
 
 
 def companions(run: Run, channel: Channel) -> Iterator[Array]:
-    """Yield the quantities that a channel must change with: its demand, its partner, and the motion that it drives."""
+    """Yield the values that a channel must change with: its demand, partner and neighbours, and its motion's demand."""
     candidates = [demand_of(run, channel), values_in_stream(run, channel, PARTNERS.get(channel.quantity))]
     if channel.quantity in HEATED_QUANTITIES:
         candidates += neighbours(run, channel)
@@ -242,9 +245,9 @@ def values_in_stream(run: Run, channel: Channel, quantity: str | None) -> Array 
 
 def index_of_largest(demand: Array) -> int:
     """Return the middle index among the readings whose demand is largest."""
-    size = np.abs(np.nan_to_num(demand))
-    largest = np.flatnonzero(size == size.max())
-    return int(largest[len(largest) // 2])
+    magnitude = np.abs(np.nan_to_num(demand))
+    largest_indices = np.flatnonzero(magnitude == magnitude.max())
+    return int(largest_indices[len(largest_indices) // 2])
 
 
 def step_at(run: Run, channel: Channel, index: int) -> str:
@@ -255,31 +258,31 @@ def step_at(run: Run, channel: Channel, index: int) -> str:
 
 
 def motion_contradictions(run: Run, role: str) -> Iterator[str]:
-    """Yield a note where the path of the angle and the integral of the velocity disagree."""
+    """Yield a note if the path of the angle and the integral of the velocity disagree."""
     angles, velocities = run.channels("angle", role), run.channels("velocity", role)
     if len(angles) != 1 or len(velocities) != 1 or angles[0].stream != velocities[0].stream:
         return
     angle, velocity = angles[0], velocities[0]
     both_finite = np.isfinite(angle.values) & np.isfinite(velocity.values)
-    time, turned, speed = angle.time[both_finite], angle.values[both_finite], velocity.values[both_finite]
+    time, readings_of_angle, speed = angle.time[both_finite], angle.values[both_finite], velocity.values[both_finite]
     if len(time) < 2 * MOTION_PARTS:
         return
     intervals = np.diff(time)
-    travelled = np.concatenate([[0.0], np.cumsum(0.5 * intervals * (speed[1:] + speed[:-1]))])
+    travel = np.concatenate([[0.0], np.cumsum(0.5 * intervals * (speed[1:] + speed[:-1]))])
     cuts = np.linspace(0, len(time) - 1, MOTION_PARTS + 1).astype(int)
-    path, integral = np.diff(turned[cuts]), np.diff(travelled[cuts])
+    path, integral = np.diff(readings_of_angle[cuts]), np.diff(travel[cuts])
     # the integral may miss changes of the speed between two readings, noise included
     speed_changes = np.diff(speed) * intervals
     uncertainty = np.diff(np.concatenate([[0.0], np.cumsum(np.abs(speed_changes))])[cuts])
     # the integrated noise, at least its median over all parts: in a part of few readings it may be small by chance
-    scatter = np.diff(np.concatenate([[0.0], np.cumsum(0.5 * speed_changes**2)])[cuts])
-    uncertainty += NOISE_STDS * np.sqrt(np.maximum(scatter, np.median(scatter)))
-    steps = np.abs(np.diff(turned))
+    noise_variance = np.diff(np.concatenate([[0.0], np.cumsum(0.5 * speed_changes**2)])[cuts])
+    uncertainty += NOISE_STDS * np.sqrt(np.maximum(noise_variance, np.median(noise_variance)))
+    steps = np.abs(np.diff(readings_of_angle))
     resolution = float(np.min(steps[steps > 0.0], initial=np.inf))
     threshold = uncertainty + COUNTS_OF_MOTION * (resolution if np.isfinite(resolution) else 0.0)
-    larger = np.maximum(np.abs(path), np.abs(integral))
-    moves = larger > LEAST_TRAVEL * larger.max()
-    contradicts = moves & (np.abs(path - integral) > np.maximum(MOST_PATH_DIFFERENCE * larger, threshold))
+    larger_travel = np.maximum(np.abs(path), np.abs(integral))
+    is_moving = larger_travel > LEAST_TRAVEL * larger_travel.max()
+    contradicts = is_moving & (np.abs(path - integral) > np.maximum(MOST_PATH_DIFFERENCE * larger_travel, threshold))
     if contradicts.sum() >= FEWEST_CONTRADICTING_PARTS:
         path, integral = path[contradicts], integral[contradicts]
         parts = np.flatnonzero(contradicts)
@@ -293,7 +296,7 @@ def motion_contradictions(run: Run, role: str) -> Iterator[str]:
 
 
 def voltage_contradictions(run: Run, role: str) -> Iterator[str]:
-    """Yield a note where the three voltages between the leads do not add up to zero (Kirchhoff)."""
+    """Yield a note if the three voltages between the leads do not add up to zero (Kirchhoff)."""
     channels = [channel for name in VOLTAGE_LOOP for channel in run.channels(name, role)]
     if [channel.quantity for channel in channels] != list(VOLTAGE_LOOP) or len(
         {channel.stream for channel in channels}
@@ -303,15 +306,15 @@ def voltage_contradictions(run: Run, role: str) -> Iterator[str]:
     voltages = voltages[:, np.isfinite(voltages).all(axis=0)]
     if voltages.shape[1] < FEWEST_VOLTAGES:
         return
-    sizes = np.sqrt(np.mean(voltages**2, axis=1))
+    rms_voltages = np.sqrt(np.mean(voltages**2, axis=1))
     voltage_sum = voltages.sum(axis=0)
-    if not float(np.sqrt(np.mean(voltage_sum**2))) > MOST_UNBALANCE * float(np.median(sizes)):
+    if not float(np.sqrt(np.mean(voltage_sum**2))) > MOST_UNBALANCE * float(np.median(rms_voltages)):
         return
     # rms of the sum with the sign of one voltage reversed
     sums_with_sign_changed = np.sqrt(np.mean((voltage_sum - 2.0 * voltages) ** 2, axis=1))
-    worst = int(np.argmin(sums_with_sign_changed))
+    suspect_index = int(np.argmin(sums_with_sign_changed))
     opening = f"{run.path}: {', '.join(label_of(channel) for channel in channels)} do not add up to zero"
-    if sums_with_sign_changed[worst] < MOST_UNBALANCE * sizes[worst]:
-        yield f"{opening}: the leads of {channels[worst].quantity} are swapped"
+    if sums_with_sign_changed[suspect_index] < MOST_UNBALANCE * rms_voltages[suspect_index]:
+        yield f"{opening}: the leads of {channels[suspect_index].quantity} are swapped"
     else:
         yield f"{opening}: one of them is not connected, or reads in another unit"

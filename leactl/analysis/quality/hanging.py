@@ -57,7 +57,7 @@ def hangs(values: Array, repeat: RepeatedReading) -> bool:
         return False
     outside_row = np.delete(values, slice(repeat.first, repeat.last + 1))
     outside_row = outside_row[np.isfinite(outside_row)]
-    if len(outside_row) < FEWEST_REPEATS or not noise_shows(outside_row, staying=False):
+    if len(outside_row) < FEWEST_REPEATS or not noise_shows(outside_row, count_repeats=False):
         return False
     equal_share = float(np.mean(np.diff(outside_row) == 0.0))
     # by noise alone, a row of n readings has the probability equal_share ** n

@@ -12,13 +12,13 @@ from leactl.runfile.read.reader import Channel
 Array = npt.NDArray[np.float64]
 
 TORQUE = "torque"
-LEAST_PILE_SHARE = 0.05  # of a hold's readings, at the extreme of a pile
-FEWEST_PILED = 5  # readings at the extreme of a pile
+LEAST_PILE_SHARE = 0.05  # of a hold's readings; fewer at the extreme are no pile
+FEWEST_PILED_READINGS = 5  # fewer at the extreme are no pile
 LEAST_PILE_RATIO = 3  # readings at the extreme over those at the next value; the tail of noise has fewer
-CHANCE_PROBABILITY = 1e-3  # a pile that a coarse resolution makes with more may be chance
+CHANCE_PROBABILITY = 1e-3  # a pile that a coarse resolution makes with a higher probability may be chance
 MOST_TOSSES = 40  # readings at the two outermost values; with more, a pile is not by chance
 MOST_DISTINCT_SHARE = 0.5  # distinct values over readings inside the extreme; with more, a pile is not by chance
-FEWEST_DISTINCT = 5  # values in most holds; with fewer, the resolution may hide the noise
+FEWEST_DISTINCT_VALUES = 5  # in most holds; with fewer, the resolution may hide the noise
 LEAST_TURNING_SHARE = 0.4  # turning points over readings of a noisy record; white noise has two thirds
 LEAST_LARGE_TURNS = 0.1  # share of turns above the smallest step; it is one half if noise is two thirds of that step
 FEWEST_STEPS = 50  # from reading to reading; a shorter record does not show noise
@@ -37,39 +37,44 @@ def find_saturation(channel: Channel, holds: Sequence[Hold]) -> tuple[float, lis
         return float("nan"), []
     all_values = np.concatenate([values for _, values in values_by_hold])
     for extreme in (float(all_values.max()), float(all_values.min())):
-        if extreme == 0.0 and channel.quantity != TORQUE:  # a shaft that stands, or a drive that is off
+        # the zero of a shaft at rest or of a drive that is off is no end of a range
+        if extreme == 0.0 and channel.quantity != TORQUE:
             continue
-        at_extreme = [
+        holds_at_extreme = [
             hold for hold, values in values_by_hold if piles_up(values, extreme) and not may_be_chance(values, extreme)
         ]
-        if not at_extreme:
+        if not holds_at_extreme:
             continue
         distinct_counts = [
-            (0 if goes_one_way(values) else len(np.unique(values)), hold in at_extreme)
+            (0 if goes_one_way(values) else len(np.unique(values)), hold in holds_at_extreme)
             for hold, values in values_by_hold
         ]
-        count_sets = [count for count, _ in distinct_counts], [count for count, piled in distinct_counts if not piled]
-        noisy = any(np.median(counts) >= FEWEST_DISTINCT for counts in count_sets if counts) or noise_shows(
+        count_sets = (
+            [count for count, _ in distinct_counts],
+            [count for count, is_at_extreme in distinct_counts if not is_at_extreme],
+        )
+        is_noisy = any(np.median(counts) >= FEWEST_DISTINCT_VALUES for counts in count_sets if counts) or noise_shows(
             channel.values
         )
-        if noisy or len({hold.setpoint for hold in at_extreme}) > 1:
-            return extreme, at_extreme
+        if is_noisy or len({hold.setpoint for hold in holds_at_extreme}) > 1:
+            return extreme, holds_at_extreme
     return float("nan"), []
 
 
-def noise_shows(values: Array, staying: bool = True) -> bool:
+def noise_shows(values: Array, count_repeats: bool = True) -> bool:
     """Return whether readings between the extremes go up and down as noise does and transients do not.
 
-    With `staying`, repeated readings count as readings without a turn. Without it, they are left out, and turns must be
-    larger than one step of the resolution: a level midway between two readings alternates between them.
+    With `count_repeats`, repeated readings count as readings without a turn. Without it, they are left out, and a share
+    `LEAST_LARGE_TURNS` of the turns must be larger than one step of the resolution: a level midway between two readings
+    alternates between them.
     """
     finite = values[np.isfinite(values)]
     steps = np.diff(finite[(finite != finite.max()) & (finite != finite.min())]) if len(finite) else finite
     step_products = steps[1:] * steps[:-1]
-    if not staying:
-        changes = step_products != 0.0
-        turn_sizes = np.maximum(np.abs(steps[1:]), np.abs(steps[:-1]))[changes & (step_products < 0.0)]
-        step_products = step_products[changes]
+    if not count_repeats:
+        is_change = step_products != 0.0
+        turn_sizes = np.maximum(np.abs(steps[1:]), np.abs(steps[:-1]))[is_change & (step_products < 0.0)]
+        step_products = step_products[is_change]
         smallest_step = float(np.min(np.abs(steps[steps != 0.0]), initial=np.inf))
         if not len(turn_sizes) or float(np.mean(turn_sizes > 1.5 * smallest_step)) < LEAST_LARGE_TURNS:
             return False
@@ -90,7 +95,7 @@ def settled_values(channel: Channel, hold: Hold) -> Array:
 
 
 def clipping_value(channel: Channel) -> float | None:
-    """Return the value at which a record is clipped; None if it is not clipped, or shows no noise to judge it by."""
+    """Return the value at which a record is clipped; None if it is not clipped, or has no noise that shows clipping."""
     finite = channel.values[np.isfinite(channel.values)]
     if not len(finite) or not noise_shows(channel.values):
         return None
@@ -104,13 +109,13 @@ def piles_up(values: Array, extreme: float, share: float = LEAST_PILE_SHARE) -> 
     `share` is the least share of readings at the extreme.
     """
     at_extreme = values == extreme
-    if at_extreme.sum() < max(FEWEST_PILED, share * len(values)):
+    if at_extreme.sum() < max(FEWEST_PILED_READINGS, share * len(values)):
         return False
     inner_values = values[~at_extreme]
     if not len(inner_values):
         return True
-    nearest = inner_values[np.argmin(np.abs(inner_values - extreme))]
-    return int(at_extreme.sum()) >= LEAST_PILE_RATIO * int(np.sum(inner_values == nearest))
+    next_value = inner_values[np.argmin(np.abs(inner_values - extreme))]
+    return int(at_extreme.sum()) >= LEAST_PILE_RATIO * int(np.sum(inner_values == next_value))
 
 
 def may_be_chance(values: Array, extreme: float) -> bool:
@@ -121,7 +126,10 @@ def may_be_chance(values: Array, extreme: float) -> bool:
     """
     pile_size, inner_values = int(np.sum(values == extreme)), values[values != extreme]
     distances = np.sort(np.abs(inner_values - extreme))
-    tosses = pile_size + int(np.sum(distances == distances[0])) if len(distances) else pile_size
-    if tosses > MOST_TOSSES or len(np.unique(inner_values)) > MOST_DISTINCT_SHARE * len(inner_values):
+    toss_count = pile_size + int(np.sum(distances == distances[0])) if len(distances) else pile_size
+    if toss_count > MOST_TOSSES or len(np.unique(inner_values)) > MOST_DISTINCT_SHARE * len(inner_values):
         return False
-    return sum(math.comb(tosses, count) for count in range(pile_size, tosses + 1)) / 2.0**tosses > CHANCE_PROBABILITY
+    return (
+        sum(math.comb(toss_count, count) for count in range(pile_size, toss_count + 1)) / 2.0**toss_count
+        > CHANCE_PROBABILITY
+    )

@@ -1,4 +1,4 @@
-"""How a channel follows its demand: by which factor, and how closely, whatever the delay of the loop."""
+"""How a channel follows its demand: by which factor and how closely, at any delay of the loop."""
 
 import math
 from typing import NamedTuple
@@ -8,11 +8,11 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-FEWEST_READINGS = 20  # with a demand
-DEAD_GAIN = 0.1  # reading over demand, below which a channel does not follow; at its voltage limit a loop reaches more
-FOLLOWING_CORRELATION = 0.5  # above which a channel follows its demand, by whatever factor
-DECORRELATED = 0.5  # autocorrelation, below which a demand no longer resembles itself at that lag
-UNIT_ERROR_FACTOR = 30.0  # reading over demand or the inverse: no loop is off so far, and a unit by a thousand
+FEWEST_READINGS = 20  # that have a demand
+DEAD_GAIN = 0.1  # reading over demand; with less, a channel does not follow. A loop at its voltage limit reaches more
+FOLLOWING_CORRELATION = 0.5  # a channel with more follows its demand, by any factor
+DECORRELATED = 0.5  # autocorrelation; at a lag with less, a demand no longer resembles itself
+UNIT_ERROR_FACTOR = 30.0  # reading over demand or the inverse: no loop is off by so much, but a unit is by a thousand
 
 
 class SetpointTracking(NamedTuple):
@@ -23,7 +23,7 @@ class SetpointTracking(NamedTuple):
 
     @property
     def fault(self) -> str:
-        """Return `opposite`, `unit` or `dead`; empty where the channel follows its demand."""
+        """Return `opposite`, `unit` or `dead`; empty if the channel has none of these faults."""
         if self.correlation < -FOLLOWING_CORRELATION and self.gain < -DEAD_GAIN:
             return "opposite"
         if self.correlation > FOLLOWING_CORRELATION and not 1.0 / UNIT_ERROR_FACTOR <= self.gain <= UNIT_ERROR_FACTOR:
@@ -45,24 +45,24 @@ def compare_with_demand(demand: Array, reading: Array, from_zero: bool) -> Setpo
 
     Returns
     -------
-    The tracking; None with fewer than `FEWEST_READINGS` of both, without power in the demand (a constant, with
-    `from_zero` only a demand of 0), or if the powers overflow.
+    The tracking; None if fewer than `FEWEST_READINGS` have both, if the demand has no power (it is constant, or with
+    `from_zero` it is 0), or if the powers overflow.
     """
     both_finite = np.isfinite(demand) & np.isfinite(reading)
-    demanded, read = demand[both_finite], reading[both_finite]
-    if len(demanded) < FEWEST_READINGS:
+    demand_values, read_values = demand[both_finite], reading[both_finite]
+    if len(demand_values) < FEWEST_READINGS:
         return None
     if not from_zero:
-        demanded, read = demanded - demanded.mean(), read - read.mean()
-    demand_power, reading_power = float(demanded @ demanded), float(read @ read)
+        demand_values, read_values = demand_values - demand_values.mean(), read_values - read_values.mean()
+    demand_power, reading_power = float(demand_values @ demand_values), float(read_values @ read_values)
     if demand_power <= 0.0 or not math.isfinite(demand_power * reading_power):
         return None
-    size = 1 << (2 * len(demanded) - 1).bit_length()
-    spectrum = np.fft.rfft(demanded, size)
-    autocorrelation = np.fft.irfft(spectrum * np.conj(spectrum), size)[: len(demanded) // 4]
-    decorrelated = np.flatnonzero(autocorrelation < DECORRELATED * autocorrelation[0])
-    decorrelation_lag = max(int(decorrelated[0]) if len(decorrelated) else 1, 1)
-    products = np.fft.irfft(np.fft.rfft(read, size) * np.conj(spectrum), size)[: 2 * decorrelation_lag]
-    extreme = float(products[np.argmax(np.abs(products))])
+    fft_size = 1 << (2 * len(demand_values) - 1).bit_length()
+    spectrum = np.fft.rfft(demand_values, fft_size)
+    autocorrelation = np.fft.irfft(spectrum * np.conj(spectrum), fft_size)[: len(demand_values) // 4]
+    decorrelated_lags = np.flatnonzero(autocorrelation < DECORRELATED * autocorrelation[0])
+    decorrelation_lag = max(int(decorrelated_lags[0]) if len(decorrelated_lags) else 1, 1)
+    products = np.fft.irfft(np.fft.rfft(read_values, fft_size) * np.conj(spectrum), fft_size)[: 2 * decorrelation_lag]
+    extreme_product = float(products[np.argmax(np.abs(products))])
     scale = math.sqrt(demand_power * reading_power)
-    return SetpointTracking(extreme / demand_power, extreme / scale if scale > 0.0 else 0.0)
+    return SetpointTracking(extreme_product / demand_power, extreme_product / scale if scale > 0.0 else 0.0)

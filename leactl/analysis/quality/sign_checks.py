@@ -7,16 +7,12 @@ SIGN_SWAPPED = "a sign is swapped: check `sign` of the drives and of the torque 
 
 
 def refuse_below_zero(estimate: Estimate, error_prefix: str, channels: str) -> None:
-    """Raise if the 95 % interval of an estimate is entirely negative, or the value of one without an interval.
+    """Raise InputError if the 95 % interval of an estimate is entirely negative; without an interval, if its value is.
 
     Parameters
     ----------
     error_prefix : text that opens the message, such as the run files.
     channels : names of the channels whose signs contradict each other in this case.
-
-    Raises
-    ------
-    InputError : the estimate is negative.
     """
     if estimate.value < 0.0 and not estimate.high >= 0.0:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Usable readings of a channel: without those at the end of its range and those that repeat an old reading."""
+"""Usable readings of a channel: without readings at the end of its range and without repeats of old readings."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,18 +12,19 @@ from leactl.runfile.read.reader import Channel, Run
 
 
 def usable_channel(
-    run: Run, quantity: str, hold_selector: HoldSelector = CURRENT_HOLDS, least: int = 2
+    run: Run, quantity: str, hold_selector: HoldSelector = CURRENT_HOLDS, fewest_levels: int = 2
 ) -> Noted[Channel]:
     """Return a channel of the test actuator with NaN for saturated and repeated readings, and a note on each kind.
 
     Parameters
     ----------
     hold_selector : selects the holds whose readings are judged.
-    least : number of distinct setpoints that must lie within the channel's range.
+    fewest_levels : number of distinct setpoints that must lie within the channel's range.
 
     Raises
     ------
-    NotIdentifiable : fewer levels than the `least` lie within the channel's range.
+    MissingChannel : the run has no such channel.
+    NotIdentifiable : a level is saturated, and fewer than `fewest_levels` lie within the channel's range.
     """
     channel, holds = run.channel(quantity, role="test"), hold_selector.holds_of(run)
     unsaturated, holds_by_end = within_range(channel, holds)
@@ -31,16 +32,16 @@ def usable_channel(
     notes = []
     for value, holds_at_end in holds_by_end.items():
         finding = f"{quantity} of test is saturated at {value:g} in {len(holds_at_end)} holds ({listed(holds_at_end)})"
-        if len({round(hold.setpoint, 9) for hold in holds if hold not in saturated_holds}) < least:
-            needed = "two levels or more" if least > 1 else "one level or more"
-            raise NotIdentifiable(f"{run.path}: {finding}; {needed} within the sensor's range are needed")
+        if len({round(hold.setpoint, 9) for hold in holds if hold not in saturated_holds}) < fewest_levels:
+            needed_levels = "two levels or more" if fewest_levels > 1 else "one level or more"
+            raise NotIdentifiable(f"{run.path}: {finding}; {needed_levels} within the sensor's range are needed")
         notes.append(f"{run.path}: {finding}, which do not count")
-    distinct = without_repeated_readings(unsaturated, holds, str(run.path))
-    return Noted(distinct.value, (*notes, *distinct.notes))
+    without_repeats = without_repeated_readings(unsaturated, holds, str(run.path))
+    return Noted(without_repeats.value, (*notes, *without_repeats.notes))
 
 
 def within_range(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, dict[float, list[Hold]]]:
-    """Replace readings of saturated holds by NaN; return the channel, and the holds by the value they reach."""
+    """Return a channel with NaN for readings of saturated holds, and these holds by the value that they reach."""
     holds_by_end: dict[float, list[Hold]] = {}
     for _ in range(2):  # a range has two ends
         value, holds_at_end = find_saturation(channel, holds)
@@ -55,7 +56,7 @@ def within_range(channel: Channel, holds: Sequence[Hold]) -> tuple[Channel, dict
 
 
 def without_repeated_readings(channel: Channel, holds: Sequence[Hold], prefix: str) -> Noted[Channel]:
-    """Replace repeated readings by NaN; a note that `prefix` opens says how many of them lie in the holds."""
+    """Return a channel with NaN for repeated readings; a note that `prefix` opens counts those in the holds."""
     masked, count = mask_repeats(channel, holds)
     note = f"{prefix}: {count} readings of {channel.quantity} came again in place of new ones and count as missed"
     return Noted(masked, (note,) if count else ())
