@@ -18,7 +18,7 @@ from leactl.analysis.statistics.regression import Array
 
 HALF_POWER = math.sqrt(0.5)
 ONE_SIDED_STDS = 1.645  # standard errors to a bound at 95 %
-LEAST_TURNS = 1e-9  # of frequency times interval, in place of zero
+LEAST_CYCLES_PER_SAMPLE = 1e-9  # in place of zero, for which sin / sinh is undefined
 
 
 def bandwidth_of(
@@ -27,7 +27,7 @@ def bandwidth_of(
     responses: Mapping[float, Response],
     known: Mapping[float, Mask],
 ) -> Noted[Estimate]:
-    """Estimate the mean of the levels' -3 dB frequencies [Hz]; NaN with bounds if that of any level is not known.
+    """Estimate the mean of the levels' -3 dB frequencies [Hz]; NaN with bounds if one of them is not known.
 
     Parameters
     ----------
@@ -35,20 +35,21 @@ def bandwidth_of(
     responses : response of all trials of a level together.
     known : frequencies at which a level's response is known, shape (frequencies,).
     """
-    earliest, latest = sampled_half_power(next(iter(responses.values())).frequency * method.interval)
-    half_power = np.full(len(earliest), HALF_POWER)
-    passes = [
+    early_half_power, late_half_power = sampled_half_power(next(iter(responses.values())).frequency * method.interval)
+    half_power = np.full(len(early_half_power), HALF_POWER)
+    crossings = [
         crossing_bounds(responses[level], known[level], threshold)
         for level in levels
-        for threshold in (earliest, half_power, latest)
+        for threshold in (early_half_power, half_power, late_half_power)
     ]
-    if all(low == high for low, high in passes):
-        values = [
-            _crossing_of_level(method, levels[level], known[level], (half_power, earliest, latest)) for level in levels
+    if all(low == high for low, high in crossings):
+        level_values = [
+            _crossing_of_level(method, levels[level], known[level], (half_power, early_half_power, late_half_power))
+            for level in levels
         ]
-        return Noted(mean_of_levels("bandwidth", "Hz", values))
-    lows = [crossing_bounds(gain_bound(responses[level], -1), known[level], earliest)[0] for level in levels]
-    highs = [crossing_bounds(gain_bound(responses[level], 1), known[level], latest)[1] for level in levels]
+        return Noted(mean_of_levels("bandwidth", "Hz", level_values))
+    lows = [crossing_bounds(gain_bound(responses[level], -1), known[level], early_half_power)[0] for level in levels]
+    highs = [crossing_bounds(gain_bound(responses[level], 1), known[level], late_half_power)[1] for level in levels]
     low, high = min(lows) if math.inf in highs else float(np.mean(lows)), float(np.mean(highs))
     if math.isinf(high):
         note = (
@@ -70,19 +71,22 @@ def gain_bound(response: Response, side: int) -> Response:
     )
 
 
-def sampled_half_power(turns: Array) -> tuple[Array, Array]:
+def sampled_half_power(cycles_per_sample: Array) -> tuple[Array, Array]:
     """Return the highest and lowest gain of the samples of a first-order loop at its own -3 dB frequency.
 
-    The gain is highest where the drive acts at once and lowest where it acts about the middle of a sample. `turns` is
-    frequency times sample interval, shape (frequencies,), as are both gains.
+    The gain is highest if the drive acts at once and lowest if it acts about the middle of a sample.
+    `cycles_per_sample` is frequency times sample interval, shape (frequencies,), as are both gains.
     """
-    angle = math.pi * np.maximum(turns, LEAST_TURNS)
+    angle = math.pi * np.maximum(cycles_per_sample, LEAST_CYCLES_PER_SAMPLE)
     highest = 1.0 / np.hypot(1.0, np.sin(angle) / np.sinh(angle))
     return highest, highest * np.cos(angle)
 
 
 def crossing_bounds(response: Response, known: Mask, level: Array) -> tuple[float, float]:
-    """Return the frequencies [Hz] between which the gain first passes a level; equal if both neighbours are known."""
+    """Return the frequencies [Hz] between which the gain first falls below a level.
+
+    They are equal if both neighbours on the grid are known; the upper one is infinite if the gain stays above.
+    """
     excess = response.gain - level
     known_indices = np.flatnonzero(known)
     below = np.flatnonzero(excess[known_indices] < 0.0)
@@ -91,12 +95,15 @@ def crossing_bounds(response: Response, known: Mask, level: Array) -> tuple[floa
     index = int(known_indices[below[0]])
     if not below[0]:
         return 0.0, float(response.frequency[index])
-    before = int(known_indices[below[0] - 1])
-    if index - before > 1:
-        return float(response.frequency[before]), float(response.frequency[index])
-    share = excess[before] / (excess[before] - excess[index])
-    value = float(response.frequency[before] + share * (response.frequency[index] - response.frequency[before]))
-    return value, value
+    previous_index = int(known_indices[below[0] - 1])
+    if index - previous_index > 1:
+        return float(response.frequency[previous_index]), float(response.frequency[index])
+    step_share = excess[previous_index] / (excess[previous_index] - excess[index])
+    frequency = float(
+        response.frequency[previous_index]
+        + step_share * (response.frequency[index] - response.frequency[previous_index])
+    )
+    return frequency, frequency
 
 
 def _crossing_of_level(

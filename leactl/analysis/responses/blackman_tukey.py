@@ -19,7 +19,7 @@ from leactl.analysis.statistics.regression import Array
 
 Complex = npt.NDArray[np.complex128]
 Mask = npt.NDArray[np.bool_]
-POINTS_PER_RESOLVED = 4  # of the grid, from one resolved frequency to the next
+POINTS_PER_RESOLUTION = 4  # of the grid of frequencies, in the distance that the window resolves
 
 
 class Spectra(NamedTuple):
@@ -31,7 +31,7 @@ class Spectra(NamedTuple):
     samples: int
 
     def plus(self, other: "Spectra", sign: int = 1) -> "Spectra":
-        """Return the spectra with the records of another added, or taken out where `sign` is -1."""
+        """Return the spectra with the records of `other` added, or taken out if `sign` is -1."""
         return Spectra(
             self.input + sign * other.input,
             self.output + sign * other.output,
@@ -47,22 +47,22 @@ def sum_of_spectra(spectra: Sequence[Spectra]) -> Spectra:
 
 @dataclass(frozen=True, eq=False)
 class BlackmanTukey:
-    """An estimator of frequency responses for records of one rate."""
+    """Estimator of frequency responses for records of one rate."""
 
-    interval: float  # s
-    lags: int  # to either side
-    highest: float  # Hz
+    interval: float  # s, between samples
+    lags: int  # of the window, to either side
+    highest_frequency: float  # Hz
 
     @property
-    def resolved(self) -> float:
-        """Return the distance [Hz] between frequencies that the window tells apart."""
+    def resolution(self) -> float:
+        """Return the distance [Hz] between frequencies that the window resolves."""
         return 1.0 / (2 * self.lags * self.interval)
 
     @property
     def frequency(self) -> Array:
-        """Return the grid of frequencies [Hz], which goes beyond the highest by what the correction needs."""
-        count = round(self.highest / self.resolved * POINTS_PER_RESOLVED) + POINTS_PER_RESOLVED + 1
-        return np.asarray(self.resolved / POINTS_PER_RESOLVED * np.arange(count), np.float64)
+        """Return the grid of frequencies [Hz], which exceeds the highest by one resolution for the correction."""
+        count = round(self.highest_frequency / self.resolution * POINTS_PER_RESOLUTION) + POINTS_PER_RESOLUTION + 1
+        return np.asarray(self.resolution / POINTS_PER_RESOLUTION * np.arange(count), np.float64)
 
     @property
     def window(self) -> Array:
@@ -71,34 +71,38 @@ class BlackmanTukey:
         return np.asarray(0.5 * (1.0 + np.cos(math.pi * lag / self.lags)), np.float64)
 
     def spectra(self, reference: Array, measured: Array) -> Spectra:
-        """Return the spectra of one record, whose means are subtracted first."""
+        """Return the spectra of one record, after subtraction of its means; both arguments have shape (samples,)."""
         reference, measured = reference - reference.mean(), measured - measured.mean()
-        size = 1 << (2 * len(reference) - 1).bit_length()
-        u, y = np.fft.rfft(reference, size), np.fft.rfft(measured, size)
+        fft_size = 1 << (2 * len(reference) - 1).bit_length()
+        u, y = np.fft.rfft(reference, fft_size), np.fft.rfft(measured, fft_size)
         lag = np.arange(-self.lags, self.lags + 1)
         kernel = np.exp(-2j * math.pi * self.interval * np.outer(self.frequency, lag))
         transforms = [
-            kernel @ (self.window * np.fft.irfft(pair, size)[lag])
-            for pair in (u.conj() * u, y.conj() * y, u.conj() * y)
+            kernel @ (self.window * np.fft.irfft(product, fft_size)[lag])
+            for product in (u.conj() * u, y.conj() * y, u.conj() * y)
         ]
         return Spectra(transforms[0].real, transforms[1].real, transforms[2], len(reference))
 
     def response(self, spectra: Spectra) -> "Response":
         """Return the corrected response and its coherence, up to the highest frequency."""
-        raw = spectra.cross / spectra.input
+        raw_response = spectra.cross / spectra.input
         power = spectra.input * spectra.output
-        # an answer without power, as of a sensor that stands still, has nothing in common with anything
+        # a response without power, such as that of a sensor that stands still, has no coherence
         coherence = np.divide(np.abs(spectra.cross) ** 2, power, out=np.zeros_like(power), where=power > 0.0)
-        mirrored = np.concatenate([raw[POINTS_PER_RESOLVED:0:-1].conj(), raw])  # the response at negative frequencies
-        count = len(raw) - POINTS_PER_RESOLVED
-        averaged = 0.5 * raw[:count] + 0.25 * (
-            mirrored[:count] + mirrored[2 * POINTS_PER_RESOLVED : 2 * POINTS_PER_RESOLVED + count]
+        # the response at negative frequencies is the conjugate of that at positive ones
+        mirrored = np.concatenate([raw_response[POINTS_PER_RESOLUTION:0:-1].conj(), raw_response])
+        count = len(raw_response) - POINTS_PER_RESOLUTION
+        averaged_response = 0.5 * raw_response[:count] + 0.25 * (
+            mirrored[:count] + mirrored[2 * POINTS_PER_RESOLUTION : 2 * POINTS_PER_RESOLUTION + count]
         )
         window = self.window
-        share = float(np.sum((window * (2.0 - window)) ** 2)) / (2.0 * spectra.samples)
+        variance_factor = float(np.sum((window * (2.0 - window)) ** 2)) / (2.0 * spectra.samples)
         coherence = np.clip(coherence[:count], 1e-12, 1.0)
         return Response(
-            self.frequency[:count], 2.0 * raw[:count] - averaged, coherence, np.sqrt(share * (1.0 / coherence - 1.0))
+            self.frequency[:count],
+            2.0 * raw_response[:count] - averaged_response,
+            coherence,
+            np.sqrt(variance_factor * (1.0 / coherence - 1.0)),
         )
 
 
@@ -106,8 +110,8 @@ class Response(NamedTuple):
     """A frequency response, its coherence and its uncertainty, shape (frequencies,) each."""
 
     frequency: Array  # Hz
-    value: Complex
-    coherence: Array
+    value: Complex  # response over reference
+    coherence: Array  # magnitude squared
     relative_std: Array  # of the gain; in rad, of the phase
 
     @property
@@ -117,19 +121,20 @@ class Response(NamedTuple):
 
     @property
     def phase(self) -> Array:
-        """Return the phase [rad], unwrapped from the lowest frequency on, where it is from -pi to pi.
+        """Return the phase [rad], unwrapped from the lowest frequency on, at which it is from -pi to pi.
 
-        The mean delay between neighbours on the grid is subtracted first and added again after. If frequencies are
-        missing, the phase changes by that delay over the gap; plain unwrapping would lose whole turns there.
+        The mean delay between neighbours on the grid is subtracted before unwrapping and added afterwards. If
+        frequencies are missing, the phase changes by that delay over the gap; plain unwrapping would lose whole turns
+        there.
         """
-        principal, steps = np.angle(self.value), np.diff(self.frequency)
+        wrapped_phase, steps = np.angle(self.value), np.diff(self.frequency)
         if not len(steps):
-            return principal
+            return wrapped_phase
         neighbours = steps < 1.5 * steps.min()
-        turns = np.sum(np.exp(1j * np.diff(principal))[neighbours])
-        linear = np.angle(turns) / steps.min() * (self.frequency - self.frequency[0])
-        return np.asarray(np.unwrap(principal - linear) + linear, np.float64)
+        rotation = np.sum(np.exp(1j * np.diff(wrapped_phase))[neighbours])
+        delay_phase = np.angle(rotation) / steps.min() * (self.frequency - self.frequency[0])
+        return np.asarray(np.unwrap(wrapped_phase - delay_phase) + delay_phase, np.float64)
 
     def at(self, known: Mask) -> "Response":
-        """Return the response at the frequencies at which a mask is true."""
+        """Return the response at the frequencies of a mask, shape (frequencies,)."""
         return Response(self.frequency[known], self.value[known], self.coherence[known], self.relative_std[known])

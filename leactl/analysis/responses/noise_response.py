@@ -3,7 +3,7 @@
 Paper, section "Controller Performance": Blackman-Tukey with a window of 400 samples, bandwidth at the -3 dB crossover,
 mean over trials and levels. A response is known below the noise's cut-off where its coherence is 0.6 or more (Tischler
 & Remple, Aircraft and Rotorcraft System Identification, 2nd ed., section 2.2). It holds for noise of that amplitude:
-friction takes a larger share of a smaller one.
+of a smaller amplitude, friction takes a larger share.
 """
 
 import math
@@ -25,10 +25,10 @@ NOISE_RESULTS = {
     "coherent_band_low": "Hz",
     "coherent_band_high": "Hz",
 }
-WINDOW_LAGS = 400  # of the window to either side, the paper's
+WINDOW_LAGS = 400  # of the window to either side, as in the paper
 LEAST_COHERENCE = 0.6  # of a known response (Tischler & Remple, section 2.2)
 SAMPLING_SHOWS_ABOVE = 0.1  # of the record's rate; above it, holding and sampling change the response
-MOST_POINTS = 80  # points of a level in a plot
+MOST_POINTS = 80  # of a level in a plot
 
 
 def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
@@ -42,24 +42,25 @@ def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
     Raises
     ------
     MissingChannel : a run has no reference or no response of the test actuator.
-    NotIdentifiable : no noise with data, no band of enough coherence, or a response against its reference.
+    NotIdentifiable : no step of noise has data, no frequency has enough coherence at every level, or a response opposes
+        its reference.
     """
     error_prefix = f"{paths_of(runs)}: {loop.experiment}"
     notes = setup_notes(runs, (loop.setup,), "the response is that of another load")
-    every_record = joined(records_of(run, loop) for run in runs)
-    records = every_record.value
-    notes += every_record.notes
+    usable_records = joined(records_of(run, loop) for run in runs)
+    records = usable_records.value
+    notes += usable_records.notes
     interval = float(np.median([record.interval for record in records]))
-    highest = min(min(record.cutoff for record in records), 0.5 / interval)
-    method = BlackmanTukey(interval, WINDOW_LAGS, highest)
+    highest_frequency = min(min(record.cutoff for record in records), 0.5 / interval)
+    method = BlackmanTukey(interval, WINDOW_LAGS, highest_frequency)
     levels = spectra_by_level(records, method)
     counts = {level: len(trials) for level, trials in levels.items()}
     if len(set(counts.values())) > 1:
-        shown = ", ".join(f"{count} at {level:.3g}" for level, count in counts.items())
-        notes.append(f"repeats are missing: records are {shown}; every level counts the same")
+        counts_text = ", ".join(f"{count} at {level:.3g}" for level, count in counts.items())
+        notes.append(f"repeats are missing: records are {counts_text}; every level counts the same")
 
     responses = {level: method.response(sum_of_spectra(trials)) for level, trials in levels.items()}
-    masks = {level: known_frequencies(response, method.resolved, level) for level, response in responses.items()}
+    masks = {level: known_frequencies(response, method.resolution, level) for level, response in responses.items()}
     known = {level: mask.value for level, mask in masks.items()}
     notes += [note for mask in masks.values() for note in mask.notes]
     band = method.frequency[: len(next(iter(known.values())))][np.all(list(known.values()), axis=0)]
@@ -85,7 +86,7 @@ def noise_response(runs: Sequence[Run], loop: NoiseExperiment) -> Result:
 
 
 def spectra_by_level(records: Sequence[NoiseRecord], method: BlackmanTukey) -> dict[float, list[Spectra]]:
-    """Return the spectra by level, one for each noise: records of the same noise count as one trial."""
+    """Return the spectra by level, one for each noise: records with the same seed count as one trial."""
     by_level: dict[float, dict[object, Spectra]] = {}
     for record in sorted(records, key=lambda record: record.level):
         spectra, by_noise = method.spectra(record.reference, record.response), by_level.setdefault(record.level, {})
@@ -93,59 +94,61 @@ def spectra_by_level(records: Sequence[NoiseRecord], method: BlackmanTukey) -> d
     return {level: list(by_noise.values()) for level, by_noise in by_level.items()}
 
 
-def known_frequencies(response: Response, resolved: float, level: float) -> Noted[Mask]:
-    """Return at which frequencies a level's response is known; notes name the bands of too little coherence."""
+def known_frequencies(response: Response, resolution: float, level: float) -> Noted[Mask]:
+    """Return the mask of frequencies at which a level's response is known; notes name bands of too little coherence.
+
+    `resolution` [Hz] is the lowest frequency that can be known.
+    """
     frequency = response.frequency
-    known = (response.coherence >= LEAST_COHERENCE) & (frequency >= resolved)
-    unknown = ~known & (frequency >= resolved)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], unknown, [False]]).astype(np.int8)))
+    is_known = (response.coherence >= LEAST_COHERENCE) & (frequency >= resolution)
+    is_unknown = ~is_known & (frequency >= resolution)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_unknown, [False]]).astype(np.int8)))
     notes = tuple(
         f"coherence at {level:.3g} is below {LEAST_COHERENCE:g} from {frequency[first]:.1f} to "
         f"{frequency[last]:.1f} Hz: the response there is not known"
         for first, last in zip(edges[::2], edges[1::2] - 1, strict=True)
     )
-    return Noted(known, notes)
+    return Noted(is_known, notes)
 
 
 def refuse_swapped_sign(response: Response, known: Mask, error_prefix: str) -> None:
-    """Refuse a response that opposes its reference at its four lowest coherent frequencies, by the mean real part.
+    """Raise NotIdentifiable if a response opposes its reference: then a sign is swapped.
 
-    Raises
-    ------
-    NotIdentifiable : the response opposes its reference, so that a sign is swapped.
+    The mean real part at the four lowest known frequencies decides.
     """
-    lowest = np.flatnonzero(known)[:4]
-    if np.mean(response.value[lowest].real) < 0.0:
-        frequency = response.frequency[lowest[0]]
+    lowest_indices = np.flatnonzero(known)[:4]
+    if np.mean(response.value[lowest_indices].real) < 0.0:
+        frequency = response.frequency[lowest_indices[0]]
         raise NotIdentifiable(
             f"{error_prefix} the response goes against the reference at {frequency:.1f} Hz: a sign is swapped"
         )
 
 
 def plots_of(responses: Mapping[float, Response], known: Mapping[float, Mask], units: str) -> tuple[Plot, ...]:
-    """Return plots of gain, phase and coherence over frequency; gain and phase are drawn where they are known."""
-    gains, limits, phases, coherences = [], [], [], []
+    """Return plots of gain, phase and coherence over frequency; gain and phase only at known frequencies."""
+    gains, gain_limits, phases, coherences = [], [], [], []
     for level, response in responses.items():
-        shown_points = plot_slice(len(response.frequency), MOST_POINTS)
-        label, x = f"{level:.3g} {units}", tuple(response.frequency[shown_points].tolist())
-        shown = np.where(known[level], response.gain, NAN)
-        gains.append(Series(label, x, _tuple(20.0 * np.log10(shown)[shown_points])))
+        plotted = plot_slice(len(response.frequency), MOST_POINTS)
+        label, x = f"{level:.3g} {units}", tuple(response.frequency[plotted].tolist())
+        known_gain = np.where(known[level], response.gain, NAN)
+        gains.append(Series(label, x, _tuple(20.0 * np.log10(known_gain)[plotted])))
         for side in (-1.96, 1.96):
-            limit = np.maximum(shown * (1.0 + side * response.relative_std), 1e-6)
-            limits.append(Series(f"{label}, 95 %", x, _tuple(20.0 * np.log10(limit)[shown_points])))
+            limit = np.maximum(known_gain * (1.0 + side * response.relative_std), 1e-6)
+            gain_limits.append(Series(f"{label}, 95 %", x, _tuple(20.0 * np.log10(limit)[plotted])))
         phase = np.full(len(response.frequency), NAN)
         phase[known[level]] = response.at(known[level]).phase
-        phases.append(Series(label, x, _tuple(np.degrees(phase)[shown_points])))
-        coherences.append(Series(label, x, _tuple(response.coherence[shown_points])))
+        phases.append(Series(label, x, _tuple(np.degrees(phase)[plotted])))
+        coherences.append(Series(label, x, _tuple(response.coherence[plotted])))
     x_range = (0.0, max(series.x[-1] for series in gains))
     minus_3_db = Series("-3 dB", x_range, (20.0 * math.log10(HALF_POWER),) * 2)
     threshold = Series("known from here", x_range, (LEAST_COHERENCE,) * 2)
     return (
-        Plot("frequency [Hz]", "gain [dB]", tuple(gains), (minus_3_db, *limits), x_log=True),
+        Plot("frequency [Hz]", "gain [dB]", tuple(gains), (minus_3_db, *gain_limits), x_log=True),
         Plot("frequency [Hz]", "phase [deg]", tuple(phases), (), x_log=True),
         Plot("frequency [Hz]", "coherence [1]", tuple(coherences), (threshold,), x_log=True),
     )
 
 
 def _tuple(values: Array) -> tuple[float, ...]:
+    """Return the values as a tuple of Python numbers."""
     return tuple(values.tolist())

@@ -1,7 +1,7 @@
 """The mean response of several trials, and where it passes a level.
 
 A drive may act anywhere within the sample in which its reference jumps. A response of few samples is not known between
-them, so that each crossing of a level has a limit of its error.
+the samples, so that each crossing of a level has a limit of its error.
 """
 
 import math
@@ -13,25 +13,25 @@ import numpy as np
 from leactl.analysis.responses.step_trials import StepTrial
 from leactl.analysis.statistics.regression import Array
 
-RISE_START, RISE_END = 0.1, 0.9  # of the steady value, between which the rise time counts
-MOST_BEND = 0.5  # second difference over the rise between two bins; above it, no cubic is laid through them
-MOST_INTERVAL_DEVIATION = 0.01  # largest difference of an interval from the curve's, as a share of it
+RISE_START, RISE_END = 0.1, 0.9  # of the steady value: levels that begin and end the rise time
+MOST_BEND = 0.5  # second difference over the rise between two bins; with more, no cubic is fitted to them
+MOST_UNEVEN_INTERVAL = 0.01  # of the median interval; an interval that differs by more is uneven
 
 
 class MeanStepResponse(NamedTuple):
-    """A step response averaged in bins, from its jump on; values are parts of the step."""
+    """A step response averaged in bins, from its jump on; values, noise and resolution are shares of the step."""
 
-    time: Array  # s, the first one 0
-    value: Array
-    error: Array  # standard error of a bin from the noise of the readings
+    time: Array  # s, of the bins; the first is 0
+    value: Array  # means of the bins; the first is 0
+    error: Array  # standard error of each bin by the noise of the readings
     noise: float  # standard deviation of one reading
     interval: float  # s, between samples
     quantum: float  # resolution of the readings
-    steady_from: float  # s
+    steady_from: float  # s, at which the steady part begins
 
 
 def mean_step_response(trials: Sequence[StepTrial], growth: float = 0.0) -> MeanStepResponse:
-    """Average the responses in bins of one sample, or of `growth` times the time since the jump if that is longer."""
+    """Return the mean response in bins of one sample, or of `growth` times the time since the jump if longer."""
     time = np.concatenate([trial.time for trial in trials])
     values = np.concatenate([trial.response for trial in trials])
     interval = float(np.median([np.median(np.diff(trial.time)) for trial in trials]))
@@ -40,13 +40,15 @@ def mean_step_response(trials: Sequence[StepTrial], growth: float = 0.0) -> Mean
         edges.append(edges[-1] + max(interval, growth * edges[-1]))
     bins = np.searchsorted(edges, time)
     counts = np.bincount(bins, minlength=len(edges))
-    filled = counts > 0
-    means = [np.bincount(bins, column, minlength=len(edges))[filled] / counts[filled] for column in (time, values)]
+    has_samples = counts > 0
+    bin_means = [
+        np.bincount(bins, column, minlength=len(edges))[has_samples] / counts[has_samples] for column in (time, values)
+    ]
     noise = math.sqrt(np.mean([trial.noise**2 for trial in trials]))
     return MeanStepResponse(
-        time=np.concatenate([[0.0], means[0]]),
-        value=np.concatenate([[0.0], means[1]]),
-        error=np.concatenate([[0.0], noise / np.sqrt(counts[filled])]),
+        time=np.concatenate([[0.0], bin_means[0]]),
+        value=np.concatenate([[0.0], bin_means[1]]),
+        error=np.concatenate([[0.0], noise / np.sqrt(counts[has_samples])]),
         noise=noise,
         interval=interval,
         quantum=max(trial.quantum for trial in trials),
@@ -58,7 +60,7 @@ class LevelCrossing(NamedTuple):
     """The time at which a response passes a level, and its largest error."""
 
     time: float  # s
-    limit: float  # s, by which that may be off
+    limit: float  # s, largest error of `time`
 
 
 def straight_crossing(curve: MeanStepResponse, index: int, level: float) -> float:
@@ -69,33 +71,35 @@ def straight_crossing(curve: MeanStepResponse, index: int, level: float) -> floa
 
 
 def crossing_with_limit(curve: MeanStepResponse, index: int, level: float) -> LevelCrossing:
-    """Return when the response passes a level, by a cubic through the bins around it where they lie smoothly enough.
+    """Return when the response passes a level between bins `index - 1` and `index`.
 
-    Otherwise by the exponential through three samples, else by the straight line. The limit is how far the curve that
-    is taken may lie from the straight line; for that itself, the distance to the bin to whose side the response bends.
+    The crossing is that of a cubic through the neighbouring bins if these lie smoothly enough, else that of an
+    exponential through three samples, else that of the straight line. The limit of a cubic or an exponential follows
+    from its distance to the straight line; that of the straight line is the distance to the bin to whose side the
+    response bends.
     """
     straight = straight_crossing(curve, index, level)
-    around = slice(index - 1, index + 3)
-    time = np.concatenate([[-curve.interval], curve.time])[around]
-    values = np.concatenate([[0.0], curve.value])[around]
+    neighbour_bins = slice(index - 1, index + 3)
+    time = np.concatenate([[-curve.interval], curve.time])[neighbour_bins]
+    values = np.concatenate([[0.0], curve.value])[neighbour_bins]
     rise, bends = float(values[2] - values[1]), np.diff(values, 2)
     relative_bend = float(np.max(np.abs(bends))) / rise
     if len(bends) == 2 and relative_bend < MOST_BEND:
         polynomial = np.polynomial.Polynomial.fit(time, values - level, 3)
         roots = [float(root.real) for root in polynomial.roots() if not root.imag and time[1] <= root.real <= time[2]]
-        nearest = min(roots, key=lambda root: abs(root - straight), default=straight)
-        return LevelCrossing(nearest, relative_bend * abs(nearest - straight))
-    if (relaxed := _exponential_crossing(curve, index, level)) is not None:
-        return LevelCrossing(relaxed, abs(relaxed - straight))
-    sooner = straight - float(time[1]) if np.min(bends) < 0.0 else 0.0
-    later = float(time[2]) - straight if np.max(bends) > 0.0 else 0.0
-    return LevelCrossing(straight, max(sooner, later))
+        crossing = min(roots, key=lambda root: abs(root - straight), default=straight)
+        return LevelCrossing(crossing, relative_bend * abs(crossing - straight))
+    if (exponential := _exponential_crossing(curve, index, level)) is not None:
+        return LevelCrossing(exponential, abs(exponential - straight))
+    early_error = straight - float(time[1]) if np.min(bends) < 0.0 else 0.0
+    late_error = float(time[2]) - straight if np.max(bends) > 0.0 else 0.0
+    return LevelCrossing(straight, max(early_error, late_error))
 
 
 def _exponential_crossing(curve: MeanStepResponse, index: int, level: float) -> float | None:
     """Return when a response of few samples passes a level [s], by the exponential through three samples.
 
-    None where three even samples from below 90 % on are missing, or where the response does not slow down.
+    None if there are no three evenly spaced samples that begin below `RISE_END`, or the response does not slow down.
     """
     first = index - 1 if curve.value[index - 1] > RISE_START else index
     time, values = curve.time[first : first + 3], curve.value[first : first + 3]
@@ -109,6 +113,6 @@ def _exponential_crossing(curve: MeanStepResponse, index: int, level: float) -> 
     if not 0.0 < increments[1] < increments[0]:
         return None
     ratio = float(increments[1] / increments[0])
-    gap = float(increments[0]) / (1.0 - ratio)
-    samples = math.log(1.0 - (level - float(values[0])) / gap) / math.log(ratio)
+    remaining_rise = float(increments[0]) / (1.0 - ratio)
+    samples = math.log(1.0 - (level - float(values[0])) / remaining_rise) / math.log(ratio)
     return float(np.clip(time[0] + samples * curve.interval, curve.time[index - 1], curve.time[index]))

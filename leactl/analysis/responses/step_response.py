@@ -1,6 +1,6 @@
 """Step responses of a drive's loops: rise time, overshoot, settling time and steady-state error over trials and levels.
 
-Paper, section "Controller Performance": each figure is the mean over trials and levels. The paper does not print its
+Paper, section "Controller Performance": each metric is the mean over trials and levels. The paper does not print its
 band of settling; here it is 2 % of the step about the steady value. Overshoot and rise refer to the steady value too.
 """
 
@@ -32,8 +32,8 @@ STEP_RESULTS = {
     "settling_time": "s",
     "steady_state_error": "%",
 }
-MOST_POINTS = 60  # points of a level in the plot
-PLOTTED_SETTLING_TIMES = 2.0  # length of the plot
+MOST_POINTS = 60  # of a level in the plot
+PLOTTED_SETTLING_TIMES = 2.0  # settling times that the plot covers
 
 
 def step_response(experiment: str, runs: Sequence[Run], reference: str, response: str, key: str, setup: str) -> Result:
@@ -45,13 +45,13 @@ def step_response(experiment: str, runs: Sequence[Run], reference: str, response
     Raises
     ------
     MissingChannel : a run has no reference or no response of the test actuator.
-    NotIdentifiable : a run has no step response that settles.
+    NotIdentifiable : a run has no usable step response.
     """
     notes = setup_notes(runs, (setup,), "the response is that of another load")
-    every = joined(trials_of(run, reference, response, key) for run in runs)
-    setpoints = sorted({trial.level for trial in every.value})
-    levels = [[trial for trial in every.value if trial.level == setpoint] for setpoint in setpoints]
-    notes += [*every.notes, *repeat_notes(levels), *drift_notes(levels)]
+    usable_trials = joined(trials_of(run, reference, response, key) for run in runs)
+    setpoints = sorted({trial.level for trial in usable_trials.value})
+    levels = [[trial for trial in usable_trials.value if trial.level == setpoint] for setpoint in setpoints]
+    notes += [*usable_trials.notes, *repeat_notes(levels), *drift_notes(levels)]
     units = runs[0].channel(response, role="test").units
     metrics: dict[str, tuple[str, Callable[[Sequence[StepTrial]], TrialFigure]]] = {
         "rise_time": ("s", rise_time),
@@ -60,44 +60,51 @@ def step_response(experiment: str, runs: Sequence[Run], reference: str, response
     }
     results = []
     for name, (unit, metric) in metrics.items():
-        values = [_level_value(trials, metric) for trials in levels]
-        results.append(mean_of_levels(name, unit, values))
-        shown = ", ".join(
+        level_values = [_level_value(trials, metric) for trials in levels]
+        results.append(mean_of_levels(name, unit, level_values))
+        values_text = ", ".join(
             f"{value.figure.value:.4g} {unit} at {trials[0]} {units}"
-            for value, trials in zip(values, levels, strict=True)
+            for value, trials in zip(level_values, levels, strict=True)
         )
-        notes.append(f"{name} by level: {shown}")
+        notes.append(f"{name} by level: {values_text}")
         if not math.isfinite(results[-1].value):
             notes.append(
                 f"{name} is not known: noise of the readings goes beyond {SETTLING_BAND:.0%} of the smallest step"
             )
     results.append(mean_of_levels("steady_state_error", "%", [_steady_error(trials) for trials in levels]))
-    until = PLOTTED_SETTLING_TIMES * results[2].value if math.isfinite(results[2].value) else math.inf
+    plot_end = PLOTTED_SETTLING_TIMES * results[2].value if math.isfinite(results[2].value) else math.inf
     notes[:0] = wrong_size_notes(levels, response) or unit_notes(runs, [], [response])
     paths = tuple(str(run.path) for run in runs)
-    return Result(experiment, paths, tuple(results), tuple(notes), (_plot(levels, units, until),))
+    return Result(experiment, paths, tuple(results), tuple(notes), (_plot(levels, units, plot_end),))
 
 
 def _level_value(trials: Sequence[StepTrial], metric: Callable[[Sequence[StepTrial]], TrialFigure]) -> LevelValue:
-    return over_trials(len(trials), lambda kept: metric([trials[k] for k in kept]))
+    """Return a metric of one level with its scatter over the trials."""
+    return over_trials(len(trials), lambda trial_indices: metric([trials[index] for index in trial_indices]))
 
 
 def _steady_error(trials: Sequence[StepTrial]) -> LevelValue:
+    """Return the steady-state error of one level [%] with its scatter over the trials."""
     rounding = 100.0 * max(rounding_limit_of(trial.noise, trial.quantum) for trial in trials)
     return over_trials(
         len(trials),
-        lambda kept: TrialFigure(100.0 * float(np.mean([trials[k].steady_error for k in kept])), per_level=(rounding,)),
+        lambda trial_indices: TrialFigure(
+            100.0 * float(np.mean([trials[index].steady_error for index in trial_indices])), per_level=(rounding,)
+        ),
     )
 
 
-def _plot(levels: Sequence[Sequence[StepTrial]], units: str, until: float) -> Plot:
+def _plot(levels: Sequence[Sequence[StepTrial]], units: str, plot_end: float) -> Plot:
+    """Return the plot of each level's mean response up to `plot_end` [s], with the band of settling."""
     points = []
     for trials in levels:
         curve = mean_step_response(trials, BIN_GROWTH)
-        shown = np.flatnonzero(curve.time <= until)
-        shown = shown[plot_slice(len(shown), MOST_POINTS)]
-        time, value = (1e3 * curve.time[shown]).tolist(), curve.value[shown].tolist()
+        plotted_indices = np.flatnonzero(curve.time <= plot_end)
+        plotted_indices = plotted_indices[plot_slice(len(plotted_indices), MOST_POINTS)]
+        time, value = (1e3 * curve.time[plotted_indices]).tolist(), curve.value[plotted_indices].tolist()
         points.append(Series(f"{trials[0]} {units}", tuple(time), tuple(value)))
-    ends = (0.0, max(series.x[-1] for series in points))
-    lines = [Series("band of settling", ends, (1.0 + side, 1.0 + side)) for side in (SETTLING_BAND, -SETTLING_BAND)]
+    time_range = (0.0, max(series.x[-1] for series in points))
+    lines = [
+        Series("band of settling", time_range, (1.0 + side, 1.0 + side)) for side in (SETTLING_BAND, -SETTLING_BAND)
+    ]
     return Plot("time since the step [ms]", "response [of the step]", tuple(points), tuple(lines))
