@@ -13,7 +13,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 MOVING_RANGE_OVER_STD = 1.128  # d2 of two values: mean moving range over standard deviation
 LIMIT_STDS = 3.0  # standard deviations from the centre to a limit
-FEWEST_BASELINE_VALUES = 8  # fewer give the mean moving range no better than to a third
+FEWEST_BASELINE_VALUES = 8  # fewer determine the mean moving range no better than to a third
 ROW_LENGTH = 9  # values in a row on one side of the centre: nine have a chance of 1 in 256
 
 
@@ -30,7 +30,7 @@ class ControlChart:
 
     @property
     def changed(self) -> bool:
-        """Whether any value lies outside the limits or completes a row on one side."""
+        """Return whether any value lies outside the limits or completes a row on one side."""
         return bool(self.beyond or self.shifted)
 
     def as_json(self) -> dict[str, Any]:
@@ -47,7 +47,7 @@ class ControlChart:
 
 
 def control_chart(values: Array, baseline: int | None = None) -> ControlChart | None:
-    """Compute centre and limits of a series of values; return None where the baseline has fewer than eight values.
+    """Return the chart of a series of values; None if the baseline has fewer than `FEWEST_BASELINE_VALUES`.
 
     Parameters
     ----------
@@ -57,14 +57,16 @@ def control_chart(values: Array, baseline: int | None = None) -> ControlChart | 
     count = len(values) if baseline is None else min(baseline, len(values))
     if count < FEWEST_BASELINE_VALUES:
         return None
-    first = values[:count]
-    centre = float(np.mean(first))
-    half_width = LIMIT_STDS * float(np.mean(np.abs(np.diff(first)))) / MOVING_RANGE_OVER_STD
-    beyond = np.flatnonzero(np.abs(values - centre) > half_width)
+    baseline_values = values[:count]
+    centre = float(np.mean(baseline_values))
+    half_width = LIMIT_STDS * float(np.mean(np.abs(np.diff(baseline_values)))) / MOVING_RANGE_OVER_STD
+    outside_indices = np.flatnonzero(np.abs(values - centre) > half_width)
     sides = np.sign(values - centre)
-    shifted = [
+    shifted_indices = [
         index
         for index in range(ROW_LENGTH - 1, len(values))
         if abs(float(np.sum(sides[index - ROW_LENGTH + 1 : index + 1]))) == ROW_LENGTH
     ]
-    return ControlChart(centre, centre - half_width, centre + half_width, count, tuple(beyond.tolist()), tuple(shifted))
+    return ControlChart(
+        centre, centre - half_width, centre + half_width, count, tuple(outside_indices.tolist()), tuple(shifted_indices)
+    )

@@ -32,10 +32,10 @@ from leactl.analysis.statistics.regression import (
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
 
-DRIFT_P_VALUE = 1e-3  # probability under which residuals follow time by more than chance
-LEAST_UNEXPLAINED_TIME = 0.3  # of the spread of time; with less, drift and slope cannot be told apart
-LEAST_NOTED_DRIFT = 0.002  # of the response's range
-FOLLOWING_P_VALUE = 1e-3  # probability under which a regressor follows the setpoints by more than chance
+DRIFT_P_VALUE = 1e-3  # with a lower probability, residuals follow time by more than chance
+LEAST_UNEXPLAINED_TIME = 0.3  # of the standard deviation of time; with less, drift and slope cannot be separated
+LEAST_NOTED_DRIFT = 0.002  # of the response's range; a smaller drift causes no note
+FOLLOWING_P_VALUE = 1e-3  # with a lower probability, a regressor follows the setpoints by more than chance
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +43,8 @@ class LineFit:
     """A least-squares fit whose coefficients are named slopes, then one intercept for each run."""
 
     fit: LeastSquaresFit
-    slopes: tuple[str, ...]
-    levels: HoldMeans
+    slopes: tuple[str, ...]  # names, in the order of the coefficients
+    levels: HoldMeans  # the points of the fit
 
     @property
     def mean_intercept(self) -> Array:
@@ -56,30 +56,33 @@ class LineFit:
         return float(self.fit.coefficients[self.slopes.index(name)])
 
     def estimate(self, slope: str, name: str, units: str, relative_std: float = 0.0) -> Estimate:
-        """Estimate one slope; where the runs differ in it, its uncertainty is that of their mean."""
+        """Estimate one slope; if the runs differ in it, its uncertainty is that of the runs' mean."""
         common_fit, run_test = self.common_to_runs(slope)
         weights = np.eye(len(common_fit.coefficients))[0]
         return widened_by(common_fit, run_test).estimate(name, units, weights, relative_std)
 
     def common_to_runs(self, slope: str) -> tuple[LeastSquaresFit, PartialFTest | None]:
-        """Fit one slope for all runs and the rest for each run; return the fit and the test of whether runs differ."""
-        runs, index = indicator_columns(self.levels.run_index), self.slopes.index(slope)
+        """Return the fit of one slope for all runs and all else for each run, and a test whether the runs differ in it.
+
+        The test is None if it cannot be made.
+        """
+        run_columns, index = indicator_columns(self.levels.run_index), self.slopes.index(slope)
         column = self.fit.projected[:, [index]]
-        others = [self.fit.projected[:, [k]] for k in range(len(self.slopes)) if k != index]
+        other_columns = [self.fit.projected[:, [k]] for k in range(len(self.slopes)) if k != index]
         try:
-            design = np.hstack([column, *(runs * other for other in others), runs])
-            common = least_squares(design, self.fit.explained, design, slope)
+            design = np.hstack([column, *(run_columns * other_column for other_column in other_columns), run_columns])
+            common_fit = least_squares(design, self.fit.explained, design, slope)
         except NotIdentifiable:  # a run does not determine the other slopes alone: all runs share them
-            design = np.hstack([column, *others, runs])
-            common = least_squares(design, self.fit.explained, design, slope)
-        widened = widened_by(
-            common, partial_f_test(design, self.fit.explained, indicator_columns(setpoint_groups(self.levels)))
+            design = np.hstack([column, *other_columns, run_columns])
+            common_fit = least_squares(design, self.fit.explained, design, slope)
+        widened_fit = widened_by(
+            common_fit, partial_f_test(design, self.fit.explained, indicator_columns(setpoint_groups(self.levels)))
         )
-        return widened, partial_f_test(design, self.fit.explained, runs * column)
+        return widened_fit, partial_f_test(design, self.fit.explained, run_columns * column)
 
     @property
     def lack_of_fit(self) -> PartialFTest | None:
-        """Test whether the means of levels depart from the fit by more than their repeats scatter."""
+        """Return the test whether the means of levels depart from the fit by more than their repeats scatter."""
         return partial_f_test(self.fit.projected, self.fit.explained, indicator_columns(setpoint_groups(self.levels)))
 
     @property
@@ -94,20 +97,21 @@ def fit_lines(columns: dict[str, Array], response: Array, levels: HoldMeans, err
 
     Raises
     ------
-    NotIdentifiable : columns that the levels do not tell apart, or no degree of freedom left.
+    NotIdentifiable : the levels do not separate the columns, no degree of freedom is left, or the first column does not
+        follow the setpoints.
     """
     run_columns = indicator_columns(levels.run_index)
     design = np.column_stack([*columns.values(), run_columns])
     instruments = np.column_stack([levels.setpoint, design[:, 1:]])
     fit = least_squares(design, response, instruments, error_prefix)
-    follows_setpoints = partial_f_test(design[:, 1:], design[:, 0], levels.setpoint[:, np.newaxis])
-    if follows_setpoints is not None and follows_setpoints.p_value > FOLLOWING_P_VALUE:
+    setpoint_test = partial_f_test(design[:, 1:], design[:, 0], levels.setpoint[:, np.newaxis])
+    if setpoint_test is not None and setpoint_test.p_value > FOLLOWING_P_VALUE:
         raise NotIdentifiable(
             f"{error_prefix}: the means of {len(levels)} holds do not follow their setpoints by more than chance; "
             "levels further apart are needed"
         )
-    unwidened = LineFit(fit, tuple(columns), levels)
-    return replace(unwidened, fit=widened_by(fit, unwidened.lack_of_fit))
+    line = LineFit(fit, tuple(columns), levels)
+    return replace(line, fit=widened_by(fit, line.lack_of_fit))
 
 
 def fit_notes(line: LineFit, point_stds: Array, units: str) -> list[str]:
@@ -122,16 +126,16 @@ def fit_notes(line: LineFit, point_stds: Array, units: str) -> list[str]:
             "something other than noise moves them, such as sticking friction"
         )
     notes += drift_notes(line, units)
-    lack = line.lack_of_fit
-    if lack is not None and lack.clear:
+    lack_of_fit = line.lack_of_fit
+    if lack_of_fit is not None and lack_of_fit.is_significant:
         notes.append(
             "level means depart from the fit by more than their repeats scatter "
             f"(most: {_largest_departure(line.fit, line.levels)} {units}); uncertainties are those of the level means, "
-            f"{lack.dof:g} degrees of freedom"
+            f"{lack_of_fit.dof:g} degrees of freedom"
         )
     for slope in line.slopes:
         _, run_test = line.common_to_runs(slope)
-        if run_test is not None and run_test.clear:
+        if run_test is not None and run_test.is_significant:
             notes.append(
                 f"{slope} differs between the runs by more than scatter; its uncertainty is that of their mean, "
                 f"{run_test.dof:g} degrees of freedom"
@@ -140,22 +144,22 @@ def fit_notes(line: LineFit, point_stds: Array, units: str) -> list[str]:
 
 
 def drift_notes(line: LineFit, units: str) -> list[str]:
-    """Return a note on each run whose residuals drift with time, or in which time and levels cannot be told apart."""
+    """Return a note on each run whose residuals drift with time, or in which time and levels cannot be separated."""
     notes, levels, design = [], line.levels, line.fit.projected
-    start = np.array([hold.start for hold in levels.holds])
+    start_times = np.array([hold.start for hold in levels.holds])
     for number in np.unique(levels.run_index):
         in_run = levels.run_index == number
-        time = np.where(in_run, start - start[in_run].mean(), 0.0)
+        time = np.where(in_run, start_times - start_times[in_run].mean(), 0.0)
         unexplained_time = time - design @ np.linalg.lstsq(design, time, rcond=None)[0]
-        of_run = f" of run {number + 1}" if len(np.unique(levels.run_index)) > 1 else ""
+        run_text = f" of run {number + 1}" if len(np.unique(levels.run_index)) > 1 else ""
         if np.std(unexplained_time) < LEAST_UNEXPLAINED_TIME * np.std(time):
-            notes.append(f"levels{of_run} were visited in the order of time: a drift cannot be told from the slope")
+            notes.append(f"levels{run_text} were visited in the order of time: a drift cannot be told from the slope")
             continue
         drift_test = partial_f_test(design, line.fit.explained, time[:, np.newaxis])
         drift = (
             float(unexplained_time @ line.fit.residuals)
             / float(unexplained_time @ unexplained_time)
-            * float(np.ptp(start[in_run]))
+            * float(np.ptp(start_times[in_run]))
         )
         if (
             drift_test is None
@@ -164,14 +168,14 @@ def drift_notes(line: LineFit, units: str) -> list[str]:
         ):
             continue
         notes.append(
-            f"levels{of_run} drift by {drift:+.2g} {units} from first to last: the zero of a sensor or of the current,"
-            " or what warms; the intervals hold it as scatter"
+            f"levels{run_text} drift by {drift:+.2g} {units} from first to last: the zero of a sensor or of the"
+            " current, or what warms; the intervals hold it as scatter"
         )
     return notes
 
 
 def setpoint_groups(levels: HoldMeans) -> npt.NDArray[np.int64]:
-    """Number the holds so that repeats of one setpoint from one side share a number, shape (holds,)."""
+    """Return a number for each hold, the same for repeats of one setpoint from one side, shape (holds,)."""
     keys = np.column_stack([np.round(levels.setpoint, 9), levels.direction])
     return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
 
@@ -184,13 +188,14 @@ def paths_of(runs: Sequence[Run]) -> str:
 def setup_notes(runs: Sequence[Run], setups: Sequence[str], why: str) -> list[str]:
     """Return a note on each run whose mechanical setup is not one of those that the experiment needs.
 
-    `why` says what another setup does to the results.
+    `why` is the part of the note that says what another setup does to the results.
     """
     unexpected = [run for run in runs if run.mechanical and run.mechanical not in setups]
     return [f"{run.path}: setup is '{run.mechanical}', {' or '.join(setups)} was expected: {why}" for run in unexpected]
 
 
 def _largest_departure(fit: LeastSquaresFit, levels: HoldMeans) -> str:
+    """Return a text that names the level whose mean departs most from the fit, and by how much."""
     groups = setpoint_groups(levels)
     means = np.bincount(groups, fit.residuals) / np.bincount(groups)
     worst_group = int(np.argmax(np.abs(means)))

@@ -1,4 +1,4 @@
-"""Least squares with instruments and Student t intervals, and tests of whether the scatter is all there is.
+"""Least squares with instruments and Student t intervals, and tests whether anything but scatter is in the residuals.
 
 Draper & Smith, Applied Regression Analysis, 3rd ed.: estimates and intervals in chapter 5, lack of fit in section 2.1.
 Wooldridge, Introductory Econometrics, 5th ed., chapter 15: instruments for regressors that carry errors.
@@ -15,15 +15,15 @@ from leactl.errors import NotIdentifiable
 
 Array = npt.NDArray[np.float64]
 
-CONFIDENCE = 0.95
-RANK_TOLERANCE = 1e-9  # of the largest singular value, columns scaled to length one
-DEPARTURE_P_VALUE = 0.01  # probability under which groups depart from the fit by more than scatter
-POOLING_P_VALUE = 0.25  # probability above which group differences count as scatter (as Bancroft & Han 1983 advise)
-EXACT_FIT_SHARE = 1e-24  # of the response's sum of squares: rounding leaves so much in an exact fit
+CONFIDENCE = 0.95  # of all intervals
+RANK_TOLERANCE = 1e-9  # of the largest singular value, with columns scaled to length one
+DEPARTURE_P_VALUE = 0.01  # with a lower probability, groups depart from the fit by more than scatter
+POOLING_P_VALUE = 0.25  # with a higher probability, group differences count as scatter (Bancroft & Han, 1983)
+EXACT_FIT_SHARE = 1e-24  # of the response's sum of squares, which rounding leaves in an exact fit
 
 
 def t_quantile(dof: float) -> float:
-    """Return the half width of the 95 % interval in standard errors, by Student's t."""
+    """Return the half width of the 95 % interval in standard errors, by Student's t with `dof` degrees of freedom."""
     from scipy.special import stdtrit  # scipy.stats takes half a second to import
 
     return float(stdtrit(min(dof, 1e9), 0.5 + CONFIDENCE / 2))
@@ -35,15 +35,15 @@ class LeastSquaresFit:
 
     coefficients: Array  # shape (unknowns,)
     unscaled_covariance: Array  # covariance of the coefficients at unit variance, shape (unknowns, unknowns)
-    projected: Array  # the part of the design that its instruments explain; the residuals are orthogonal to it
-    residuals: Array
+    projected: Array  # part of the design that its instruments explain; the residuals are orthogonal to it
+    residuals: Array  # shape (points,)
     variance: float  # of one point, in the response's unit squared
     dof: float  # degrees of freedom of the variance
     r_squared: float
 
     @property
     def explained(self) -> Array:
-        """The response to which the projected design would have fitted with the same residuals, shape (points,)."""
+        """Return the response that the projected design fits with these coefficients and residuals, shape (points,)."""
         return self.projected @ self.coefficients + self.residuals
 
     def combination(self, weights: Array) -> tuple[float, float]:
@@ -73,15 +73,15 @@ class PartialFTest:
     dof: float  # of the extra columns
 
     @property
-    def clear(self) -> bool:
-        """Whether the extra columns explain more than scatter does."""
+    def is_significant(self) -> bool:
+        """Return whether the extra columns explain more than scatter does."""
         return self.p_value < DEPARTURE_P_VALUE
 
 
 def least_squares(design: Array, response: Array, instruments: Array, error_prefix: str) -> LeastSquaresFit:
     """Fit in two stages with every point at the same weight; `error_prefix` begins the message of a failure.
 
-    `instruments` has a column for each of the design's: the column itself where it is free of error, else one that is
+    `instruments` has a column for each column of the design: the same column if it is free of error, else one that is
     correlated with it but not with its errors. Shapes: design and instruments (points, unknowns), response (points,).
 
     Raises
@@ -95,14 +95,14 @@ def least_squares(design: Array, response: Array, instruments: Array, error_pref
             f"{unknowns + 1} points or more are needed"
         )
     projected = instruments @ np.linalg.lstsq(instruments, design, rcond=RANK_TOLERANCE)[0]
-    length = _column_lengths(projected)
-    scaled = projected / length
-    if _rank(scaled) < unknowns:
+    norms = _column_norms(projected)
+    scaled_columns = projected / norms
+    if _rank(scaled_columns) < unknowns:
         raise NotIdentifiable(
             f"{error_prefix}: {points} points do not tell {unknowns} unknowns apart; more levels are needed"
         )
-    q, r = np.linalg.qr(scaled)
-    inverse = np.linalg.inv(r) / length[:, np.newaxis]
+    q, r = np.linalg.qr(scaled_columns)
+    inverse = np.linalg.inv(r) / norms[:, np.newaxis]
     coefficients = inverse @ (q.T @ response)
     residuals = response - design @ coefficients
     residual_square, dof = float(residuals @ residuals), points - unknowns
@@ -113,20 +113,20 @@ def least_squares(design: Array, response: Array, instruments: Array, error_pref
     )
 
 
-def partial_f_test(design: Array, response: Array, extra: Array) -> PartialFTest | None:
+def partial_f_test(design: Array, response: Array, extra_columns: Array) -> PartialFTest | None:
     """Test whether further columns explain more of the response than scatter (partial F test).
 
-    With one further column for each level it is the test of lack of fit. None where the points leave no degree of
-    freedom, where the design fits exactly, or where the extra columns are combinations of those of the design.
+    With one further column for each level it is the test of lack of fit. Return None if the points leave no degree of
+    freedom, the design fits exactly, or the extra columns are combinations of those of the design.
     """
     points, unknowns = design.shape
-    full = np.hstack([design, extra])
-    full = full / _column_lengths(full)
-    rank = _rank(full)
+    full_design = np.hstack([design, extra_columns])
+    full_design = full_design / _column_norms(full_design)
+    rank = _rank(full_design)
     if rank <= unknowns or rank >= points:
         return None
-    square_without = _residual_square(design / _column_lengths(design), response)
-    square_with = _residual_square(full, response)
+    square_without = _residual_square(design / _column_norms(design), response)
+    square_with = _residual_square(full_design, response)
     if square_without <= EXACT_FIT_SHARE * float(response @ response):
         return None
     from scipy.special import fdtrc
@@ -138,11 +138,11 @@ def partial_f_test(design: Array, response: Array, extra: Array) -> PartialFTest
 
 
 def widened_by(fit: LeastSquaresFit, groups: PartialFTest | None) -> LeastSquaresFit:
-    """Take the uncertainty of a fit from the scatter of group means where the groups may differ.
+    """Return a fit whose uncertainty follows from the scatter of group means, if the groups may differ.
 
-    What belongs to a level (the curve of a sensor, the position on the circumference) is the same in every repeat, and
-    what belongs to a run is the same in all its levels: more repeats do not average it out. The fit stays as it is
-    where the groups plainly show mere scatter.
+    An error that belongs to a level (the curve of a sensor, the position on the circumference) is the same in every
+    repeat, and an error that belongs to a run is the same in all its levels: more repeats do not average it out. If the
+    groups clearly show no more than scatter, the fit is returned unchanged.
     """
     if groups is None or groups.p_value > POOLING_P_VALUE or groups.mean_square <= fit.variance:
         return fit
@@ -152,7 +152,7 @@ def widened_by(fit: LeastSquaresFit, groups: PartialFTest | None) -> LeastSquare
 def scatter_over_noise(fit: LeastSquaresFit, point_stds: Array) -> float:
     """Return the scatter about the fit over the standard errors of the points; 0 unless it is clearly above one.
 
-    Clearly: more than twice, and with a probability under 0.001 by chi squared.
+    It is clearly above one if it exceeds two and has a probability under 0.001 by chi squared.
     """
     from scipy.special import chdtrc
 
@@ -170,17 +170,20 @@ def indicator_columns(labels: npt.NDArray[np.generic]) -> Array:
     return columns
 
 
-def _column_lengths(columns: Array) -> Array:
-    length: Array = np.sqrt(np.sum(columns**2, axis=0))
-    length[length == 0.0] = 1.0
-    return length
+def _column_norms(columns: Array) -> Array:
+    """Return the Euclidean norm of each column; one for a column of zeros."""
+    norms: Array = np.sqrt(np.sum(columns**2, axis=0))
+    norms[norms == 0.0] = 1.0
+    return norms
 
 
-def _rank(scaled: Array) -> int:
-    singular = np.linalg.svd(scaled, compute_uv=False)
-    return int(np.sum(singular > RANK_TOLERANCE * singular[0]))
+def _rank(scaled_columns: Array) -> int:
+    """Return the rank of a matrix whose columns have length one."""
+    singular_values = np.linalg.svd(scaled_columns, compute_uv=False)
+    return int(np.sum(singular_values > RANK_TOLERANCE * singular_values[0]))
 
 
-def _residual_square(scaled: Array, response: Array) -> float:
-    solution = np.linalg.lstsq(scaled, response, rcond=RANK_TOLERANCE)[0]
-    return float(np.sum((response - scaled @ solution) ** 2))
+def _residual_square(scaled_columns: Array, response: Array) -> float:
+    """Return the sum of squared residuals of a response about scaled columns."""
+    solution = np.linalg.lstsq(scaled_columns, response, rcond=RANK_TOLERANCE)[0]
+    return float(np.sum((response - scaled_columns @ solution) ** 2))

@@ -1,6 +1,6 @@
 """Mean of one number for each trial: its uncertainty is that of the scatter between trials, and between runs.
 
-Noise within a trial says nothing of what moves a whole trial, such as friction that differs from trial to trial.
+Noise within a trial does not show what changes a whole trial, such as friction that differs from trial to trial.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from leactl.analysis.statistics.regression import (
 
 @dataclass(frozen=True)
 class TrialLabel:
-    """The run of a trial by its number, and the side (direction or sign) that the trial was made on."""
+    """The number of a trial's run, and the side (direction or sign, 1 or -1) of the trial."""
 
     run: int
     side: int
@@ -29,13 +29,13 @@ class TrialLabel:
 def mean_of(
     values: Sequence[float], trials: Sequence[TrialLabel], name: str, units: str, relative_std: float = 0.0
 ) -> Estimate:
-    """Average values of trials over the sides, each side the mean of its trials.
+    """Estimate the mean over the sides of the values of trials, where each side is the mean of its trials.
 
     `relative_std` is the relative standard uncertainty of a factor that all values share.
 
     Raises
     ------
-    NotIdentifiable : no more trials than sides.
+    NotIdentifiable : there are no more trials than sides.
     """
     fit, weights = fit_sides(values, trials, name)
     return fit.estimate(name, units, weights, relative_std)
@@ -44,13 +44,13 @@ def mean_of(
 def fit_sides(
     values: Sequence[float], trials: Sequence[TrialLabel], error_prefix: str
 ) -> tuple[LeastSquaresFit, np.ndarray]:
-    """Fit one constant for each side; return the fit and the weights of the coefficients in their mean.
+    """Return the fit of one constant for each side, and the weights of the constants in their mean.
 
-    Where the runs differ by more than scatter, the uncertainty is that of the runs' means.
+    If the runs differ by more than scatter, the uncertainty is that of the runs' means.
     """
     response = np.asarray(values, np.float64)
-    sides = indicator_columns(np.array([trial.side for trial in trials]))
-    run_sides = np.array([2 * trial.run + (trial.side > 0) for trial in trials])
-    fit = least_squares(sides, response, sides, error_prefix)
-    widened = widened_by(fit, partial_f_test(sides, response, indicator_columns(run_sides)))
-    return widened, np.full(sides.shape[1], 1.0 / sides.shape[1])
+    side_columns = indicator_columns(np.array([trial.side for trial in trials]))
+    run_and_side = np.array([2 * trial.run + (trial.side > 0) for trial in trials])
+    fit = least_squares(side_columns, response, side_columns, error_prefix)
+    widened_fit = widened_by(fit, partial_f_test(side_columns, response, indicator_columns(run_and_side)))
+    return widened_fit, np.full(side_columns.shape[1], 1.0 / side_columns.shape[1])
