@@ -92,7 +92,9 @@ def analyze(
     winding = winding_of(runs[0])
     notes += [*pole_pairs.notes, *winding.notes]
 
-    constants_by_pair = {name: [poles * hold.sizes[name] for hold in holds if name in hold.sizes] for name in PAIRS}
+    constants_by_pair = {
+        name: [poles * hold.linkages[name] for hold in holds if name in hold.linkages] for name in PAIRS
+    }
     constants_by_pair = {name: constants for name, constants in constants_by_pair.items() if constants}
     common_uncertainties = CommonUncertainties(
         scale=max(hold.scale_std for hold in holds),
@@ -300,7 +302,7 @@ def measurement_notes(
                 notes.append(f"{opening}: pair {name} is offset by {offset:+.3g} V, which does not count")
         drifts = {
             name: drift_of(wave_constants) / float(np.nanmean(wave_constants))
-            for name, wave_constants in hold.sizes.items()
+            for name, wave_constants in hold.linkages.items()
         }
         drifting = {name: change for name, change in drifts.items() if change}
         changes = ", ".join(f"{name} by {change:+.2%}" for name, change in drifting.items())
@@ -323,10 +325,10 @@ def plot_over_time(holds: Sequence[TurningHold], poles: int) -> Plot:
     """Return the plot of the line-to-line constant of every wave over the time of its middle."""
     points = []
     for name in PAIRS:
-        holds_with_pair = [hold for hold in holds if name in hold.sizes]
+        holds_with_pair = [hold for hold in holds if name in hold.linkages]
         if holds_with_pair:
             time = np.concatenate([0.5 * (hold.angle.edges[1:] + hold.angle.edges[:-1]) for hold in holds_with_pair])
-            constants = np.concatenate([poles * hold.sizes[name] for hold in holds_with_pair])
+            constants = np.concatenate([poles * hold.linkages[name] for hold in holds_with_pair])
             points.append(Series(name, tuple(time.tolist()), tuple(constants.tolist())))
     mean_constant = float(np.nanmean(np.concatenate([poles * hold.mean_of_pairs for hold in holds])))
     times = [time_of_wave for series in points for time_of_wave in series.x]

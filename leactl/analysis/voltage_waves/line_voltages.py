@@ -16,11 +16,11 @@ from leactl.analysis.voltage_waves.waves import Array, Complex, VoltageRecord
 from leactl.runfile.read.reader import Channel, Run
 
 PAIRS = ("ab", "bc", "ca")
-DEAD_PAIR_SHARE = 0.05  # of the largest pair's rms; a pair with less is dead
-LEAST_PILED_SHARE = 0.02  # of the samples, at one extreme of a clipped record
+DEAD_PAIR_SHARE = 0.05  # of the largest rms of all pairs; a pair with less is dead
+LEAST_PILED_SHARE = 0.02  # of the samples; a clipped record has more at one extreme
 LEAST_PILE_OVER_SINE = 4.0  # that share over the share of an unclipped sine of the same resolution
-CREST_SHARE = 0.8  # of the largest reading; samples that are missing only above it were out of range
-MOST_PHASE_ERROR_RAD = math.radians(20.0)  # of a pair's phase
+CREST_SHARE = 0.8  # of the largest reading; if samples are missing only above it, they were out of range
+MOST_PHASE_ERROR_RAD = math.radians(20.0)  # of a pair's phase from the third of a wave that is expected
 THIRD_OF_WAVE = 2.0 * math.pi / 3.0  # rad
 
 
@@ -30,11 +30,11 @@ class LineVoltage:
 
     record: VoltageRecord
     resolution: float  # V
-    scale_std: float  # relative
+    scale_std: float  # relative standard uncertainty of the channel's scale
 
 
 def line_voltages(run: Run, start: float, stop: float) -> Noted[dict[str, LineVoltage]]:
-    """Return the usable pairs of leads from start to before stop [s] by name; notes say why others are unusable."""
+    """Return the usable pairs of leads from `start` to before `stop` [s] by name; notes say why others are unusable."""
     pairs: dict[str, LineVoltage] = {}
     notes = []
     for name in PAIRS:
@@ -47,10 +47,10 @@ def line_voltages(run: Run, start: float, stop: float) -> Noted[dict[str, LineVo
             notes.append(f"{run.path}: pair {name} has no samples from {start:.2f} to {stop:.2f} s")
             continue
         pairs[name] = LineVoltage(record, resolution_of(record.values), channels[0].scale_std)
-    sizes = {name: float(np.nanstd(pair.record.values)) for name, pair in pairs.items()}
-    largest = max(sizes.values(), default=0.0)
-    for name, size in sizes.items():
-        reason = reason_unusable(pairs[name], size, largest)
+    rms_by_pair = {name: float(np.nanstd(pair.record.values)) for name, pair in pairs.items()}
+    largest_rms = max(rms_by_pair.values(), default=0.0)
+    for name, rms in rms_by_pair.items():
+        reason = reason_unusable(pairs[name], rms, largest_rms)
         if reason:
             notes.append(f"{run.path}: pair {name} from {start:.2f} s {reason}; it does not count")
             del pairs[name]
@@ -58,19 +58,19 @@ def line_voltages(run: Run, start: float, stop: float) -> Noted[dict[str, LineVo
 
 
 def regular_record(channel: Channel, start: float, stop: float) -> VoltageRecord:
-    """Return the samples from start to before stop [s] on an even grid of stamps, NaN where one is missing."""
-    begin, end = (int(index) for index in np.searchsorted(channel.time, (start, stop), side="left"))
-    time, values = channel.time[begin:end], channel.values[begin:end]
+    """Return the samples from `start` to before `stop` [s] on an even grid of stamps; NaN for missing samples."""
+    first_index, stop_index = (int(index) for index in np.searchsorted(channel.time, (start, stop), side="left"))
+    time, values = channel.time[first_index:stop_index], channel.values[first_index:stop_index]
     if len(time) < 3:
         return VoltageRecord(time, values)
     steps = np.diff(time)
-    indices = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / np.median(steps)), 1.0).astype(np.int64))])
-    if indices[-1] == len(time) - 1:
+    grid_indices = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / np.median(steps)), 1.0).astype(np.int64))])
+    if grid_indices[-1] == len(time) - 1:
         return VoltageRecord(time, values)
-    all_indices = np.arange(indices[-1] + 1)
-    all_values = np.full(len(all_indices), np.nan)
-    all_values[indices] = values
-    return VoltageRecord(np.interp(all_indices, indices, time), all_values)
+    grid = np.arange(grid_indices[-1] + 1)
+    all_values = np.full(len(grid), np.nan)
+    all_values[grid_indices] = values
+    return VoltageRecord(np.interp(grid, grid_indices, time), all_values)
 
 
 def resolution_of(values: Array) -> float:
@@ -79,25 +79,25 @@ def resolution_of(values: Array) -> float:
     return float(steps.min()) if len(steps) else 0.0
 
 
-def reason_unusable(pair: LineVoltage, size: float, largest: float) -> str:
-    """Return the reason why a pair cannot be used; empty if it can.
+def reason_unusable(pair: LineVoltage, rms: float, largest_rms: float) -> str:
+    """Return the reason why a pair cannot be used; empty if it can be used.
 
-    `size` is its standard deviation [V], and `largest` the largest one of all pairs.
+    `rms` is its standard deviation [V], and `largest_rms` the largest of all pairs.
     """
     values = pair.record.values
     finite = np.isfinite(values)
-    if size < DEAD_PAIR_SHARE * largest or size == 0.0:
-        return f"is dead: {size:.3g} V rms, {largest:.3g} V on another pair"
+    if rms < DEAD_PAIR_SHARE * largest_rms or rms == 0.0:
+        return f"is dead: {rms:.3g} V rms, {largest_rms:.3g} V on another pair"
     highest = float(np.abs(values[finite]).max())
     edges = np.diff(finite.astype(np.int8))
     beside_gaps = np.abs(np.concatenate([values[:-1][edges < 0], values[1:][edges > 0]]))
     if len(beside_gaps) and float(np.median(beside_gaps)) > CREST_SHARE * highest:
         return f"lacks the crests of its waves, beyond {highest:.4g} V: give its input a wider range"
-    # share of a sine that is within one resolution of its top
+    # share of a sine's period within one resolution of its top
     sine_share = 2.0 * math.sqrt(2.0 * pair.resolution / highest) / (2.0 * math.pi)
     for extreme in (float(values[finite].max()), float(values[finite].min())):
-        share = float(np.mean(values[finite] == extreme))
-        if share > max(LEAST_PILED_SHARE, LEAST_PILE_OVER_SINE * sine_share):
+        piled_share = float(np.mean(values[finite] == extreme))
+        if piled_share > max(LEAST_PILED_SHARE, LEAST_PILE_OVER_SINE * sine_share):
             return f"is clipped at {extreme:.4g} V: give its input a wider range"
     return ""
 
@@ -113,14 +113,15 @@ class LeadConnection:
 def connection_of(phasors: Mapping[str, complex]) -> LeadConnection | None:
     """Return the connection that explains the phases of three pairs; None if no connection does."""
     angle = {name: math.atan2(value.imag, value.real) for name, value in phasors.items()}
-    for forward, swapped in itertools.product((True, False), (None, *PAIRS)):
-        signs = {name: -1 if name == swapped else 1 for name in PAIRS}
-        expected = {
+    for forward, swapped_pair in itertools.product((True, False), (None, *PAIRS)):
+        signs = {name: -1 if name == swapped_pair else 1 for name in PAIRS}
+        expected_lags = {
             "bc": -THIRD_OF_WAVE if forward else THIRD_OF_WAVE,
             "ca": THIRD_OF_WAVE if forward else -THIRD_OF_WAVE,
         }
         phase_errors = [
-            angle[name] - angle["ab"] - lag - math.pi * (signs[name] != signs["ab"]) for name, lag in expected.items()
+            angle[name] - angle["ab"] - lag - math.pi * (signs[name] != signs["ab"])
+            for name, lag in expected_lags.items()
         ]
         if all(abs(math.remainder(error, 2.0 * math.pi)) < MOST_PHASE_ERROR_RAD for error in phase_errors):
             return LeadConnection(signs, forward)
@@ -128,7 +129,7 @@ def connection_of(phasors: Mapping[str, complex]) -> LeadConnection | None:
 
 
 def third_voltage(voltages: Sequence[Complex]) -> Complex:
-    """Compute the voltage of the third pair from two others by Kirchhoff, with the sign that their phases imply."""
+    """Return the voltage of the third pair by Kirchhoff from two others, with the sign that their phases imply."""
     first, second = voltages
     phase_difference = float(np.angle(np.nanmean(second * np.conj(first))))
     return -(first + second) if abs(phase_difference) > math.pi / 2.0 else first - second

@@ -23,36 +23,36 @@ class TurningHold:
     angle: Angle
     shaft: ShaftMotion
     waves: Mapping[str, Waves]
-    sizes: Mapping[str, Array]  # V*s, flux linkage of each pair's fundamental, shape (waves,)
-    mean_of_pairs: Array  # V*s, mean of `sizes`; with two pairs, the third one is computed from them
+    linkages: Mapping[str, Array]  # V*s, flux linkage of each pair's fundamental, shape (waves,)
+    mean_of_pairs: Array  # V*s, mean of `linkages`; with two pairs, the third is computed from them
     complete: bool  # whether the mean is over three pairs
-    offsets: Mapping[str, float]  # V
+    offsets: Mapping[str, float]  # V, mean of each pair's voltage
     amplitudes: Mapping[str, float]  # V, of each pair's fundamental
-    sum_of_three: float  # sum of the three fundamentals over their mean size; NaN with fewer than three pairs
-    scale_std: float
-    resolution: float  # relative standard uncertainty by rounding, where every wave rounds alike
+    sum_of_three: float  # magnitude of the fundamentals' sum over their mean magnitude; see `check_connection` for NaN
+    scale_std: float  # relative, largest of the pairs
+    resolution: float  # relative standard uncertainty by rounding, if every wave rounds alike
     findings: Sequence[str]  # notes on swapped leads and left-out waves
 
 
 def turning_holds(run: Run) -> Noted[list[TurningHold]]:
-    """Return the holds of a run whose waves are usable; notes say why others are not."""
-    spans = spans_of(run)
-    holds, notes = [], [*spans.notes]
-    for start, stop in spans.value:
+    """Return the holds of a run whose waves are usable; notes say why other holds are not."""
+    hold_spans = spans_of(run)
+    holds, notes = [], [*hold_spans.notes]
+    for start, stop in hold_spans.value:
         try:
             refuse_powered(run, start, stop)
             pairs = line_voltages(run, start, stop)
             notes += pairs.notes
-            followed = follow_waves(run, start, pairs.value)
-            notes += followed.notes
-            holds.append(turning_hold(run, start, pairs.value, *followed.value))
+            followed_waves = follow_waves(run, start, pairs.value)
+            notes += followed_waves.notes
+            holds.append(turning_hold(run, start, pairs.value, *followed_waves.value))
         except NotIdentifiable as fault:
             notes.append(f"{run.path} from {start:.2f} s: {fault}")
     return Noted(holds, tuple(notes))
 
 
 def spans_of(run: Run) -> Noted[list[tuple[float, float]]]:
-    """Return start and stop [s] of each settled hold of a velocity; those of the record where the run has no steps."""
+    """Return start and stop [s] of each settled hold of a velocity, or of the whole record if the run has no steps."""
     steps = run.steps
     if not steps:
         channels = [channel for name in PAIRS for channel in run.channels(f"phase_voltage_{name}", role="test")]
@@ -72,7 +72,7 @@ def spans_of(run: Run) -> Noted[list[tuple[float, float]]]:
 
 
 def follow_waves(run: Run, start: float, pairs: Mapping[str, LineVoltage]) -> Noted[tuple[Angle, dict[str, Waves]]]:
-    """Return the electrical angle of a hold that begins at start [s], and the waves of each pair of leads over it.
+    """Return the electrical angle of a hold that begins at `start` [s], and the waves of each pair over it.
 
     Notes name the pairs with too few whole waves, which are left out.
 
@@ -96,7 +96,7 @@ def follow_waves(run: Run, start: float, pairs: Mapping[str, LineVoltage]) -> No
 def turning_hold(
     run: Run, start: float, pairs: Mapping[str, LineVoltage], angle: Angle, waves: Mapping[str, Waves]
 ) -> TurningHold:
-    """Describe a hold that begins at start [s] by the waves of its pairs over one electrical angle.
+    """Return a hold that begins at `start` [s], from the waves of its pairs over one electrical angle.
 
     Raises
     ------
@@ -104,49 +104,47 @@ def turning_hold(
     """
     if not waves:
         raise NotIdentifiable(f"no pair with {FEWEST_WAVES} whole waves")
-    sizes = {name: sizes_of(pair_waves) for name, pair_waves in waves.items()}
+    linkages = {name: fundamental_linkages(pair_waves) for name, pair_waves in waves.items()}
     frequency = float(angle.frequencies.mean())
-    amplitudes = {name: 2.0 * math.pi * frequency * float(np.nanmean(size)) for name, size in sizes.items()}
+    amplitudes = {
+        name: 2.0 * math.pi * frequency * float(np.nanmean(pair_linkages)) for name, pair_linkages in linkages.items()
+    }
     shaft = shaft_motion(run, angle)
-    findings, sum_of_three, corrected = check_connection(waves, shaft)
-    lost = len(angle.edges) - 1 - min(int(np.isfinite(pair_waves.offset).sum()) for pair_waves in waves.values())
-    if lost:
-        findings.append(f"{lost} of {len(angle.edges) - 1} waves lack samples and do not count")
-    sizes_of_pairs = list(sizes.values())
+    findings, sum_of_three, corrected_waves = check_connection(waves, shaft)
+    lost_count = len(angle.edges) - 1 - min(int(np.isfinite(pair_waves.offset).sum()) for pair_waves in waves.values())
+    if lost_count:
+        findings.append(f"{lost_count} of {len(angle.edges) - 1} waves lack samples and do not count")
+    linkages_of_pairs = list(linkages.values())
     if len(waves) == 2:
-        third = third_voltage([pair_waves.linkage[0] for pair_waves in waves.values()])
-        sizes_of_pairs.append(sizes_of(Waves(third[np.newaxis], np.zeros(0))))
-        missing = next(name for name in PAIRS if name not in waves)
-        findings.append(f"pair {missing} is computed from the other two: all three add up to zero")
-    samples = len(angle.time) / max(len(angle.edges) - 1, 1)
-    rounding = {
-        name: pairs[name].resolution / math.sqrt(12.0) * math.sqrt(2.0 / samples) / amplitudes[name] for name in waves
+        third_linkage = third_voltage([pair_waves.linkage[0] for pair_waves in waves.values()])
+        linkages_of_pairs.append(fundamental_linkages(Waves(third_linkage[np.newaxis], np.zeros(0))))
+        missing_pair = next(name for name in PAIRS if name not in waves)
+        findings.append(f"pair {missing_pair} is computed from the other two: all three add up to zero")
+    samples_per_wave = len(angle.time) / max(len(angle.edges) - 1, 1)
+    rounding_stds = {
+        name: pairs[name].resolution / math.sqrt(12.0) * math.sqrt(2.0 / samples_per_wave) / amplitudes[name]
+        for name in waves
     }
     return TurningHold(
         run=run,
         start=start,
         angle=angle,
         shaft=shaft,
-        waves=corrected,
-        sizes=sizes,
-        mean_of_pairs=np.mean(sizes_of_pairs, axis=0),
-        complete=len(sizes_of_pairs) == len(PAIRS),
+        waves=corrected_waves,
+        linkages=linkages,
+        mean_of_pairs=np.mean(linkages_of_pairs, axis=0),
+        complete=len(linkages_of_pairs) == len(PAIRS),
         offsets={name: float(np.nanmean(pair_waves.offset)) for name, pair_waves in waves.items()},
         amplitudes=amplitudes,
         sum_of_three=sum_of_three,
         scale_std=max(pairs[name].scale_std for name in waves),
-        resolution=max(rounding.values()),
+        resolution=max(rounding_stds.values()),
         findings=findings,
     )
 
 
 def refuse_powered(run: Run, start: float, stop: float) -> None:
-    """Raise if the drive was enabled during a hold: its leads carry more than back-EMF.
-
-    Raises
-    ------
-    NotIdentifiable : the drive was enabled.
-    """
+    """Raise NotIdentifiable if the drive was enabled between two times [s]: the leads carry more than back-EMF then."""
     for channel in run.channels("drive_enabled", role="test"):
         samples = slice(*np.searchsorted(channel.time, (start, stop)).tolist())
         if np.any(channel.values[samples] > 0.0):
@@ -154,7 +152,7 @@ def refuse_powered(run: Run, start: float, stop: float) -> None:
 
 
 def best_pair(pairs: Mapping[str, LineVoltage]) -> str:
-    """Return the name of the pair with the fewest missing samples; of several such pairs, that of the largest."""
+    """Return the name of the pair with the fewest missing samples; of several such pairs, that with the largest rms."""
 
     def quality_of(name: str) -> tuple[float, float]:
         values = pairs[name].record.values
@@ -163,17 +161,17 @@ def best_pair(pairs: Mapping[str, LineVoltage]) -> str:
     return max(pairs, key=quality_of)
 
 
-def sizes_of(waves: Waves) -> Array:
-    """Return the flux linkage of each wave's fundamental [V*s], its component in phase with their mean, (waves,)."""
+def fundamental_linkages(waves: Waves) -> Array:
+    """Return the flux linkage of each wave's fundamental in phase with their mean [V*s], shape (waves,)."""
     fundamental = waves.linkage[0]
     mean = complex(np.nanmean(fundamental))
     return np.asarray((fundamental * np.conj(mean) / abs(mean)).real)
 
 
 def check_connection(waves: Mapping[str, Waves], shaft: ShaftMotion) -> tuple[list[str], float, dict[str, Waves]]:
-    """Check the phases of three pairs; return notes, the relative size of their sum, and waves with corrected signs.
+    """Return notes on the phases of three pairs, the relative magnitude of their sum, and waves with corrected signs.
 
-    With fewer than three pairs, or phases that no connection explains, the size is NaN and the waves are unchanged.
+    With fewer than three pairs, or phases that no connection explains, the magnitude is NaN and no sign is corrected.
     """
     phasors = {name: complex(np.nanmean(pair_waves.linkage[0])) for name, pair_waves in waves.items()}
     if len(phasors) < len(PAIRS):
@@ -191,14 +189,14 @@ def check_connection(waves: Mapping[str, Waves], shaft: ShaftMotion) -> tuple[li
             dict(waves),
         )
     findings = [f"pair {name} has its two leads swapped" for name, sign in connection.signs.items() if sign < 0]
-    if connection.forward != (shaft.turned > 0.0):
+    if connection.forward != (shaft.rotation > 0.0):
         findings.append(
             "the pairs follow one another against the sense of rotation: two leads, or two pairs' channels, are"
             " exchanged, or the encoder's sign is wrong"
         )
-    corrected = {
+    corrected_waves = {
         name: Waves(connection.signs[name] * pair_waves.linkage, pair_waves.offset)
         for name, pair_waves in waves.items()
     }
     sum_of_three = abs(sum(connection.signs[name] * phasor for name, phasor in phasors.items()))
-    return findings, sum_of_three / (sum(map(abs, phasors.values())) / len(phasors)), corrected
+    return findings, sum_of_three / (sum(map(abs, phasors.values())) / len(phasors)), corrected_waves
