@@ -110,8 +110,12 @@ def resistance_results(
     """
     estimates = [
         parameters.estimate("line_resistance", "ohm", lambda shifted: float(shifted.point[LINE_RESISTANCE])),
-        parameters.estimate("phase_resistance", "ohm", lambda shifted: phase_to_line_ratio * float(shifted.point[LINE_RESISTANCE])),
-        parameters.estimate("resistance_coefficient", "1/K", lambda shifted: float(shifted.point[RESISTANCE_COEFFICIENT])),
+        parameters.estimate(
+            "phase_resistance", "ohm", lambda shifted: phase_to_line_ratio * float(shifted.point[LINE_RESISTANCE])
+        ),
+        parameters.estimate(
+            "resistance_coefficient", "1/K", lambda shifted: float(shifted.point[RESISTANCE_COEFFICIENT])
+        ),
     ]
     r_squared = Estimate("resistance_r_squared", line.r_squared, NAN, NAN, NAN, "1")
     return Noted([*estimates, r_squared], tuple(notes_on_missing(estimates)))

@@ -6,7 +6,7 @@ import numpy as np
 
 from leactl.analysis.estimate import Estimate, Grid, Noted, Plot, Series, listed, plot_slice
 from leactl.analysis.responses.blackman_tukey import POINTS_PER_RESOLUTION, BlackmanTukey, Mask, Response
-from leactl.analysis.responses.noise_records import MOST_UNEVEN_INTERVAL
+from leactl.analysis.responses.noise_records import MOST_INTERVAL_DEVIATION
 from leactl.analysis.responses.noise_response import LEAST_COHERENCE, MOST_POINTS
 from leactl.analysis.signals.levels import samples_between
 from leactl.analysis.statistics.regression import Array, t_quantile
@@ -87,15 +87,15 @@ def response_of(setpoint: Channel, channel: Channel, step: Step) -> Response | s
     response = estimator.response(spectra)
     power = spectra.input[: len(response.frequency)]
     # Hann's main lobe reaches two resolved frequencies to either side
-    around = maximum_filter1d(power, 4 * POINTS_PER_RESOLUTION + 1)
-    known = (
-        (power > LEAST_POWER * power.max())
-        & (power > LEAST_LINE_POWER * around)
+    greatest_nearby_power = maximum_filter1d(power, 4 * POINTS_PER_RESOLUTION + 1)
+    is_usable = (
+        (power > LEAST_POWER_SHARE * power.max())
+        & (power > LEAST_LINE_POWER_SHARE * greatest_nearby_power)
         & (response.coherence >= LEAST_COHERENCE)
     )
-    known &= excited_frequencies(reference, interval, response.frequency, method.resolution)
-    known &= (response.frequency >= method.resolution) & (response.frequency < method.highest_frequency)
-    if not known.any():
+    is_usable &= excited_frequencies(reference, interval, response.frequency, estimator.resolution)
+    is_usable &= (response.frequency >= estimator.resolution) & (response.frequency < estimator.highest_frequency)
+    if not is_usable.any():
         return f"no frequency with a coherence of {LEAST_COHERENCE:g} or more"
     return response.at(is_usable)
 

@@ -15,7 +15,7 @@ from leactl.analysis.statistics.regression import Array
 
 RISE_START, RISE_END = 0.1, 0.9  # of the steady value: levels that begin and end the rise time
 MOST_BEND = 0.5  # second difference over the rise between two bins; with more, no cubic is fitted to them
-MOST_UNEVEN_INTERVAL = 0.01  # of the median interval; an interval that differs by more is uneven
+MOST_INTERVAL_DEVIATION = 0.01  # of the median interval; an interval that differs by more is uneven
 
 
 class MeanStepResponse(NamedTuple):
