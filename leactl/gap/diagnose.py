@@ -406,8 +406,8 @@ def model_with(model: Model, evidence: Evidence, hypothesis: Sequence[Candidate]
 
 def weighed_by_sound_noise(evidence: Evidence, result: EffectSet) -> EffectSet:
     """Return a set whose squares taken and left are weighted by a sound machine's noise where that is lower."""
-    squares_taken, squares_left = effect_sets.squares_taken_and_left(evidence, result.hypothesis, sound=True)
-    return replace(result, taken=squares_taken, left=squares_left)
+    squares_taken, squares_left = effect_sets.squares_taken_and_left(evidence, result.hypothesis, sound_noise=True)
+    return replace(result, squares_taken=squares_taken, squares_left=squares_left)
 
 
 def unrest_and_lines(evidence: Evidence, result: EffectSet) -> tuple[RunRatios, dict[Channel, Line]]:
@@ -461,7 +461,7 @@ def is_outweighed(
             for amount, rows in zip(amounts, evidence.stack.rows, strict=True)
             if rows.equation not in equations_ignored
         )
-        for amounts in (result.taken, result.left)
+        for amounts in (result.squares_taken, result.squares_left)
     )
     total = sum(member.gain for member in result.members) or 1.0
     allowed_share = sum(allowed_residual_share(member.effect) * member.gain for member in result.members) / total

@@ -294,7 +294,7 @@ def size_beside(
         return 0.0
     sound_evidence.settle([*others, item.candidate])
     refitted = fit_further_effect(
-        sound_evidence, sound_evidence.normal(), sound_evidence.stack.columns_of(others), item.candidate, free=True
+        sound_evidence, sound_evidence.normal(), sound_evidence.stack.columns_of(others), item.candidate, any_size=True
     )
     return math.sqrt(max(refitted.size**2 - refitted.std**2, 0.0)) if refitted is not None else 0.0
 

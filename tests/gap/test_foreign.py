@@ -50,7 +50,7 @@ def fitted(rows, hypothesis=(), priors=PRIORS):
     for _ in range(3):
         normal = Normal(stacked, weights)
         fit = normal.fit(hypothesis)
-        weights = [normal.residual(fit, index) ** -2 for index in range(len(rows))]
+        weights = [normal.residual_rms(fit, index) ** -2 for index in range(len(rows))]
     values = {stacked.names[k]: v for k, v in zip(fit.columns, fit.values, strict=True)}
     return normal, fit, values
 
@@ -130,7 +130,7 @@ def test_xl330_friction_grows_with_load(tmp_path, folder):
     left = []
     for hypothesis in ([], pair[:1], pair):
         normal, fit, found = fitted(rows, hypothesis)
-        left.append(np.sqrt(np.mean([normal.residual(fit, index) ** 2 for index in range(len(rows))])))
+        left.append(np.sqrt(np.mean([normal.residual_rms(fit, index) ** 2 for index in range(len(rows))])))
     assert left[1] < 0.85 * left[0]
     assert left[2] < 0.75 * left[1]
     assert found["effect", "load_dependent_friction", "(0.0,)", "coefficient"] > 0.1

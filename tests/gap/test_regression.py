@@ -39,7 +39,7 @@ def test_a_fit_finds_the_coefficients_and_their_spread(stacked):
 
 def test_a_gain_is_the_difference_of_two_misfits(stacked):
     normal = Normal(stacked, [300.0, 500.0])
-    base, added = stacked.columns_of([]), np.array([stacked.place["effect", "e", "()", "c"]])
+    base, added = stacked.columns_of([]), np.array([stacked.position_of["effect", "e", "()", "c"]])
     gain, values, _covariance = gain_of(normal, base, added)
     assert gain == pytest.approx(normal.fit().misfit - normal.fit([("e", ())]).misfit, rel=1e-6)
     assert values[0] == pytest.approx(0.7, abs=0.02)
@@ -51,7 +51,7 @@ def test_misfit_is_the_weighted_squares_left_and_the_priors_paid(stacked):
     paid = sum((value / 0.5) ** 2 for value in fit.values)
     squares = sum(w * np.sum(residuals(stacked, fit, k) ** 2) for k, w in enumerate([300.0, 500.0]))
     assert fit.misfit == pytest.approx(squares + paid, rel=1e-6)
-    assert normal.residual(fit, 0) == pytest.approx(np.sqrt(np.mean(residuals(stacked, fit, 0) ** 2)), rel=1e-6)
+    assert normal.residual_rms(fit, 0) == pytest.approx(np.sqrt(np.mean(residuals(stacked, fit, 0) ** 2)), rel=1e-6)
 
 
 def test_what_no_row_shows_and_no_prior_bounds_may_be_anything():

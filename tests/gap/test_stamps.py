@@ -82,7 +82,7 @@ def test_a_delay_within_what_stamps_may_be_enters_no_set(told, delay, least):
     found = [
         one
         for candidate in delays
-        if (one := fit_further_effect(evidence, normal, base, candidate, free=True)) is not None
+        if (one := fit_further_effect(evidence, normal, base, candidate, any_size=True)) is not None
     ]
     assert found
     assert [one.floor * ENTRY_HEIGHT * joint.rate for one in found] == pytest.approx([least] * len(found), abs=0.1)
@@ -106,7 +106,9 @@ def test_a_shape_that_no_run_shows_has_no_size():
     joint = drawn_joint(random)
     evidence = Evidence(case(joint, Log(), random).fitted, joint.model(random), only=[TOO_FAST])
     assert len(evidence.columns(TOO_FAST)) == 1
-    assert fit_further_effect(evidence, evidence.normal(), evidence.stack.columns_of([]), TOO_FAST, free=True) is None
+    assert (
+        fit_further_effect(evidence, evidence.normal(), evidence.stack.columns_of([]), TOO_FAST, any_size=True) is None
+    )
 
 
 def test_neighbours_make_a_signal_late_by_what_they_are_said_to():

@@ -314,8 +314,8 @@ def test_a_wave_is_no_candidate_where_the_shaft_hardly_turns(turned, there):
     signals = Signals("free", index * 0.01, Model(name="m"), 0.01)
     made = Rows("r", "k", "free", "eq", "torque", "test", "N*m", left, columns, {}, index, index, signals, 0.01)
     stacked = stack([made], {})
-    added = np.asarray([stacked.place[name] for name in list(columns)[1:]])
-    [base] = [stacked.place["calibration", "torque_constant"]]
+    added = np.asarray([stacked.position_of[name] for name in list(columns)[1:]])
+    [base] = [stacked.position_of["calibration", "torque_constant"]]
     _, values, _ = gain_of(Normal(stacked, [1e4]), np.asarray([base]), added)
     assert outweighs_equation(stacked, added, values) is not there
 

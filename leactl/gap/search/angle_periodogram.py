@@ -24,34 +24,34 @@ LEAKAGE_ORDERS = 1  # difference of orders up to which the weaker one is leakage
 
 
 def strongest_orders(stacked: Stack, fit: Fit, weights: Sequence[float], count: int) -> list[Candidate]:
-    """Return the `count` strongest orders of every periodic effect in the residual of a fit."""
+    """Return the `count` strongest orders of every periodic effect in the residual of a fit, as forms to try."""
     candidates: list[Candidate] = []
     for effect in library().values():
         if not effect.periodic:
             continue
         low, high = effect.orders
-        power, creeps = np.zeros(high + 1), []
-        open_orders = np.arange(high + 1) >= low
+        power, creeping_rows = np.zeros(high + 1), []
+        untried_orders = np.arange(high + 1) >= low
         for index, rows in enumerate(stacked.rows):
             if rows.equation in TORQUE_EQUATIONS and can_show_waves(rows, effect.periodic):
                 residual = residuals(stacked, fit, index)
                 power += weights[index] * periodogram(rows, residual, effect.periodic, high)
                 if "creep" in rows.signals.extra:
-                    creeps.append((rows, residual, weights[index]))
+                    creeping_rows.append((rows, residual, weights[index]))
         for _ in range(count):
-            order = int(np.argmax(power * open_orders))
-            if not open_orders[order] or power[order] <= 0.0:
+            order = int(np.argmax(power * untried_orders))
+            if not untried_orders[order] or power[order] <= 0.0:
                 break
             candidates.append((effect.name, (float(order),)))
-            for creep, (rows, residual, weight) in enumerate(creeps):
-                # a creeping axis dwells unevenly over the angle, so that a strong order leaks into others
+            for position, (rows, residual, weight) in enumerate(creeping_rows):
+                # a creeping axis dwells longer at some angles, so that a strong order leaks into others
                 remaining = without_order(rows, residual, order)
-                change = periodogram(rows, remaining, effect.periodic, high) - periodogram(
+                power_change = periodogram(rows, remaining, effect.periodic, high) - periodogram(
                     rows, residual, effect.periodic, high
                 )
-                power += weight * change
-                creeps[creep] = (rows, remaining, weight)
-            open_orders[max(order - LEAKAGE_ORDERS, 0) : order + LEAKAGE_ORDERS + 1] = False
+                power += weight * power_change
+                creeping_rows[position] = (rows, remaining, weight)
+            untried_orders[max(order - LEAKAGE_ORDERS, 0) : order + LEAKAGE_ORDERS + 1] = False
     return candidates
 
 
@@ -69,35 +69,37 @@ def without_order(rows: Rows, residual: Array, order: int) -> Array:
     return np.asarray(residual - waves @ np.linalg.lstsq(waves, residual, rcond=None)[0], np.float64)
 
 
-def periodogram(rows: Rows, residual: Array, place: str, highest: int) -> Array:
-    """Return the squares of a residual that a wave of each order explains, orders 0 to the highest."""
+def periodogram(rows: Rows, residual: Array, place: str, highest_order: int) -> Array:
+    """Return the squares of a residual that a wave of each order explains, from order 0 to the highest."""
     signals = rows.signals
     assert signals.angle is not None and signals.velocity is not None
     angle, speed = signals.angle[rows.index], np.abs(signals.velocity[rows.index])
-    size = np.ones_like(angle)
+    torque_scale = np.ones_like(angle)
     if place == "torque_factor":
         assert signals.current is not None
-        size = (signals.model.torque_constant or 0.0) * signals.current[rows.index]
+        torque_scale = (signals.model.torque_constant or 0.0) * signals.current[rows.index]
     cycles = speed * signals.interval / (2 * np.pi)  # of order one, a sample
     width = math.hypot(BASE_WIDTH, rows.width)
     if "creep" in signals.extra:
         # a creeping axis steps and rests: the mean speed of the run counts
         cycles, width = np.full_like(cycles, np.mean(cycles)), CREEP_WIDTH
-    turn = np.exp(1j * angle)
-    wave = np.ones_like(turn)
-    powers = np.zeros(highest + 1)
-    lowest = FEWEST_PERIODS * 2 * np.pi / max(float(np.ptp(angle)), 1e-9)
-    for order in range(1, highest + 1):
-        wave = wave * turn
-        if order < lowest:
+    unit_phasor = np.exp(1j * angle)
+    phasor = np.ones_like(unit_phasor)
+    powers = np.zeros(highest_order + 1)
+    lowest_order = FEWEST_PERIODS * 2 * np.pi / max(float(np.ptp(angle)), 1e-9)
+    for order in range(1, highest_order + 1):
+        phasor = phasor * unit_phasor
+        if order < lowest_order:
             continue
-        rate = order * cycles
-        visibility = np.exp(-0.5 * (2 * np.pi * rate) ** 2 * width**2) * (rate < MOST_CYCLES_PER_SAMPLE)
+        cycles_of_order = order * cycles
+        visibility = np.exp(-0.5 * (2 * np.pi * cycles_of_order) ** 2 * width**2) * (
+            cycles_of_order < MOST_CYCLES_PER_SAMPLE
+        )
         power = visibility**2
         if float(power.sum()) ** 2 < FEWEST_ROWS * float(power @ power):
             continue  # too few rows are slow enough to show this order
-        gain = size * visibility
-        energy = float(np.sum(gain**2)) / 2.0
-        if energy > 1e-12:
-            powers[order] = abs(np.sum(residual * gain * wave)) ** 2 / (2.0 * energy)
+        visible_scale = torque_scale * visibility
+        wave_energy = float(np.sum(visible_scale**2)) / 2.0
+        if wave_energy > 1e-12:
+            powers[order] = abs(np.sum(residual * visible_scale * phasor)) ** 2 / (2.0 * wave_energy)
     return powers

@@ -11,7 +11,7 @@ from leactl.gap.search.regression import Candidate, Column, Fit, Normal, residua
 from leactl.gap.signals.record import Record
 
 Array = npt.NDArray[np.float64]
-STRETCHES = 16  # stretches of the rows of an equation and a run, resampled as a whole
+STRETCHES = 16  # stretches into which the rows of an equation on one run are cut; each is resampled as a whole
 RESAMPLES = 2000  # number of random draws for an interval
 TAIL_PROBABILITY = 0.025  # probability beyond one end of a 95 % interval
 
@@ -20,7 +20,7 @@ class HeldOutGain(NamedTuple):
     """Weighted squares that an effect explains on held-out runs; NaN where these do not show the effect."""
 
     gain: float  # with the cost of the coefficients by their priors
-    least: float  # lower end of the interval without that cost, from resampled stretches
+    least: float  # lower end of the 95 % interval of the gain without that cost, from resampled stretches
 
 
 def held_out_gains(
@@ -36,24 +36,24 @@ def held_out_gains(
     cannot_tell = HeldOutGain(np.nan, np.nan)
     if not held_out or not hypothesis:
         return [cannot_tell] * len(hypothesis)
-    on_held_out = evidence.on(held_out, hypothesis)
-    if not on_held_out.stack.rows:
+    held_out_evidence = evidence.on(held_out, hypothesis)
+    if not held_out_evidence.stack.rows:
         return [cannot_tell] * len(hypothesis)
-    on_held_out.settle(hypothesis)  # sets its weights
-    normal, random = on_held_out.normal(), np.random.default_rng(seed)
-    fitted = evidence.settle(hypothesis)  # sets the weights for the fits without a member, too
-    fit_with_all = transferred_fit(normal, evidence, fitted)
+    held_out_evidence.settle(hypothesis)  # sets the weights of the held-out runs
+    normal, random = held_out_evidence.normal(), np.random.default_rng(seed)
+    fit = evidence.settle(hypothesis)  # sets the weights of the fits without a member, too
+    transferred_with_all = transferred_fit(normal, evidence, fit)
     gains = []
     for index in range(len(hypothesis)):
-        if len(on_held_out.columns(hypothesis[index])) == 0:
+        if len(held_out_evidence.columns(hypothesis[index])) == 0:
             gains.append(cannot_tell)
             continue
         others = [*hypothesis[:index], *hypothesis[index + 1 :]]
-        fit_without = transferred_fit(normal, evidence, evidence.normal().fit(others))
-        gain_by_stretch = stretch_gains(normal, fit_without, fit_with_all)
+        transferred_without = transferred_fit(normal, evidence, evidence.normal().fit(others))
+        gain_by_stretch = stretch_gains(normal, transferred_without, transferred_with_all)
         sums = gain_by_stretch[random.integers(0, len(gain_by_stretch), (RESAMPLES, len(gain_by_stretch)))].sum(axis=1)
         least = float(np.quantile(sums, TAIL_PROBABILITY / len(hypothesis)))
-        gains.append(HeldOutGain(fit_without.misfit - fit_with_all.misfit, least))
+        gains.append(HeldOutGain(transferred_without.misfit - transferred_with_all.misfit, least))
     return gains
 
 
@@ -65,33 +65,36 @@ def stretch_gains(normal: Normal, fit_without: Fit, fit_with_all: Fit) -> Array:
             residuals(normal.stack, fit, index) for fit in (fit_without, fit_with_all)
         )
         gain_by_stretch += [
-            weight * float(part.sum()) for part in np.array_split(residual_without**2 - residual_with_all**2, STRETCHES)
+            weight * float(gains_of_rows.sum())
+            for gains_of_rows in np.array_split(residual_without**2 - residual_with_all**2, STRETCHES)
         ]
     return np.asarray(gain_by_stretch)
 
 
 def transferred_fit(normal: Normal, evidence: Evidence, fit: Fit) -> Fit:
-    """Apply a fit to other runs: keep the coefficients that all runs share, fit those of single runs again.
+    """Return a fit on other runs: coefficients that all runs share are kept, those of single runs fitted again.
 
     normal : normal equations of the other runs.
     evidence : evidence of the runs that were fitted.
     """
-    known: dict[Column, float] = {
+    coefficient_of: dict[Column, float] = {
         evidence.stack.names[column]: float(value) for column, value in zip(fit.columns, fit.values, strict=True)
     }
     names = normal.stack.names
-    shared = np.asarray([k for k, name in enumerate(names) if name in known and not is_of_one_run(name)], np.intp)
-    free = np.asarray([k for k, name in enumerate(names) if is_of_one_run(name)], np.intp)
-    coefficients = np.asarray([known[names[k]] for k in shared])
-    right = normal.right - normal.gram[:, shared] @ coefficients
-    misfit = normal.total - 2 * coefficients @ normal.right[shared]
-    misfit += coefficients @ normal.gram[np.ix_(shared, shared)] @ coefficients
-    block = normal.gram[np.ix_(free, free)]
-    values = np.linalg.solve(block + 1e-12 * np.diag(np.diag(block)), right[free])
-    misfit -= right[free] @ values
-    columns = np.concatenate([shared, free])
-    not_known = np.full((len(columns), len(columns)), np.nan)
-    return Fit(columns, np.concatenate([coefficients, values]), not_known, float(misfit))
+    shared_columns = np.asarray(
+        [k for k, name in enumerate(names) if name in coefficient_of and not is_of_one_run(name)], np.intp
+    )
+    free_columns = np.asarray([k for k, name in enumerate(names) if is_of_one_run(name)], np.intp)
+    shared_coefficients = np.asarray([coefficient_of[names[k]] for k in shared_columns])
+    right = normal.right - normal.gram[:, shared_columns] @ shared_coefficients
+    misfit = normal.total - 2 * shared_coefficients @ normal.right[shared_columns]
+    misfit += shared_coefficients @ normal.gram[np.ix_(shared_columns, shared_columns)] @ shared_coefficients
+    free_gram = normal.gram[np.ix_(free_columns, free_columns)]
+    free_coefficients = np.linalg.solve(free_gram + 1e-12 * np.diag(np.diag(free_gram)), right[free_columns])
+    misfit -= right[free_columns] @ free_coefficients
+    columns = np.concatenate([shared_columns, free_columns])
+    unknown_covariance = np.full((len(columns), len(columns)), np.nan)
+    return Fit(columns, np.concatenate([shared_coefficients, free_coefficients]), unknown_covariance, float(misfit))
 
 
 def is_of_one_run(name: Column) -> bool:

@@ -60,16 +60,17 @@ PRIORS = {
     "thermal.housing_capacitance": 0.2,
 }
 """Physical priors of the nominal model's parameters: relative standard deviations unless a unit is given."""
-# effects that cannot be fitted where no back-EMF determines the torque constant
+# effects that cannot be fitted where no equation but torque balances determines the scale of torques
 UNDETERMINED_GAINS = ("torque_sensor_gain", "current_sensor_gain")
-TORQUE_SENSOR_EQUATIONS = {"coupled_torque", "locked_torque", "swung_torque"}  # without them the constant is held
-MOST_PRIOR_CHANGE = 1.0  # change of an identifiable parameter in fits to sound machines, over its prior
+# without any of these equations the torque constant is held
+TORQUE_SENSOR_EQUATIONS = {"coupled_torque", "locked_torque", "swung_torque"}
+MOST_PRIOR_CHANGE = 1.0  # largest change of an identifiable parameter in fits to sound machines, over its prior
 BIAS_DOUBT_SHARE = 0.2  # share of a bias common to sound machines that remains uncertain once it is corrected
 MOST_CORRECTED_BIAS = 0.3  # relative; with a larger bias the runs hardly show a parameter, and nothing is corrected
 PINNED_PRIOR = 1e-4  # prior of a torque constant that no channel determines
-LEAST_ROUNDING_SHARE = 0.5  # of a sound machine's noise power by rounding, from which the noise counts as known
+LEAST_ROUNDING_SHARE = 0.5  # share of rounding in a sound machine's noise power above which that noise counts as known
 NEGLIGIBLE_SHARE = 0.05  # share of the smallest size worth knowing below which an effect counts as absent
-LEAST_CORRELATION = 0.02  # the sum over an autocorrelation ends at the first smaller one
+LEAST_CORRELATION = 0.02  # the sum over an autocorrelation ends at the first smaller value
 DIRECT_LAGS = 6  # lags whose correlations are computed one by one; beyond them by one transform for all
 ORDERS_TRIED = 3  # orders added for each periodic effect
 
@@ -79,10 +80,10 @@ class Null:
     """Values fitted to sound machines, which have no effect: floors of effects, equations and parameters."""
 
     unrest: Mapping[tuple[str, str], float]  # by equation and kind of run
-    left: Mapping[tuple[str, str], float]  # by equation and kind: variance of the rows, times rows per independent row
-    white: Mapping[tuple[str, str], float]  # by equation and run: variance of the rows' noise from one to the next
-    floors: Mapping[str, Sequence[float]]  # sizes of each effect in its forms, in units of its leading parameter
-    alike: Mapping[str, Sequence[float]]  # sizes that all machines have in common; empty for one machine
+    left: Mapping[tuple[str, str], float]  # by equation and kind: residual variance, times rows per independent row
+    white: Mapping[tuple[str, str], float]  # by equation and run: variance of the noise from row to row
+    floors: Mapping[str, Sequence[float]]  # by effect: its fitted size in each form, in units of its leading parameter
+    common_sizes: Mapping[str, Sequence[float]]  # sizes that all machines have in common; empty for one machine
     errors: Mapping[str, Sequence[float]]  # standard errors of the sizes
     lines: Mapping[tuple[str, str, str], float]  # height of the highest line in the residuals of each channel
     moved: Mapping[str, tuple[float, float]]  # by parameter: mean and scatter of its relative change
@@ -100,7 +101,7 @@ class Null:
 
 
 def bias_error(bias: float, scatter: float) -> float:
-    """Return the uncertainty of a relative change from a bias, corrected where it is small enough, and a scatter."""
+    """Return the uncertainty of a relative change from a bias, which is corrected where small enough, and a scatter."""
     return math.hypot(BIAS_DOUBT_SHARE * bias if abs(bias) <= MOST_CORRECTED_BIAS else bias, scatter)
 
 
@@ -118,58 +119,62 @@ class Evidence:
         self.model, self.records = model, list(records)
         self.null: Null | None = None
         self.worth_knowing = worth_knowing(records, model)  # smallest relevant size by effect
-        self.by_form: dict[str, Sequence[float]] = {}  # floor of each effect by form, from sound machines
+        self.by_form: dict[str, Sequence[float]] = {}  # floors of each effect by form, from sound machines
         self.lines: Mapping[tuple[str, str, str], float] = {}
         self.kept, self.unidentifiable = tuple(kept), tuple[str, ...]()  # parameters held at the model's value
         self.forms, self.travel = forms_at_scales(records, model), widest_angle_range(records)
         self.visited = angle_bounds(records)
         self.form_spread: dict[Candidate, npt.NDArray[np.float64]] = {}  # covariance of the logarithms of refined forms
         self.candidates: list[Candidate] = list(only) if only is not None else every_form(self.forms)
-        self._made: list[tuple[list[Equation], list[Rows]]] = []  # by run: equations, and the rows of each
+        self._by_run: list[tuple[list[Equation], list[Rows]]] = []  # equations, and the rows of each
         for record in records:
-            built = equations(record, model)
-            rows = make_rows(record.run, record.kind, built, self.candidates)
-            pairs = [
+            equations_of_run = equations(record, model)
+            rows = make_rows(record.run, record.kind, equations_of_run, self.candidates)
+            equations_with_rows = [
                 (without_model_columns(equation), rows_of_equation)
-                for equation, rows_of_equation in zip(built, rows, strict=True)
+                for equation, rows_of_equation in zip(equations_of_run, rows, strict=True)
                 if rows_of_equation is not None
             ]
-            self._made.append(
-                ([equation for equation, _ in pairs], [rows_of_equation for _, rows_of_equation in pairs])
+            self._by_run.append(
+                (
+                    [equation for equation, _ in equations_with_rows],
+                    [rows_of_equation for _, rows_of_equation in equations_with_rows],
+                )
             )
-        made = self._rows()
+        all_rows = self._rows()
         self.priors = dict(PRIORS)
-        names = {rows.equation for rows in made}
+        names = {rows.equation for rows in all_rows}
         if lacks_scale(names):
             self.candidates = [c for c in self.candidates if c[0] not in UNDETERMINED_GAINS]
             if not names & TORQUE_SENSOR_EQUATIONS:
                 self.priors["torque_constant"] = PINNED_PRIOR
         self.priors.update(dict.fromkeys(self.kept, PINNED_PRIOR))
-        self.stack: Stack = stack(made, self.priors)
+        self.stack: Stack = stack(all_rows, self.priors)
         self.weigh_as_usual()
         if on_time is None:
-            on_time = overdue_equations(self.stack, self.settle([])) if made else ()
+            on_time = overdue_equations(self.stack, self.settle([])) if all_rows else ()
         self.on_time = tuple(on_time)  # equations with a delay beyond what stamps can explain
         if self.on_time:
             put_on_time(self.stack.rows, self.on_time)
             self.stack = stack(self.stack.rows, self.priors)
-        if only is None and made:
+        if only is None and all_rows:
             self.add(strongest_orders(self.stack, self.settle([]), self.weights, ORDERS_TRIED))
 
     def _rows(self) -> list[Rows]:
-        return [rows for _, made in self._made for rows in made]
+        """Return the rows of all runs."""
+        return [rows for _, rows_of_run in self._by_run for rows in rows_of_run]
 
-    def weigh_as_usual(self, sound: bool = False) -> None:
+    def weigh_as_usual(self, sound_noise: bool = False) -> None:
         """Set the usual weights: noise from row to row, and the dependence of a sound model's residuals.
 
-        sound : whether the noise is a sound machine's where that is lower.
+        sound_noise : whether the noise is a sound machine's where that is lower.
         """
         for rows in self.stack.rows:
-            rows.noise = self.sound_white(rows) if sound else rows.white
+            rows.noise = self.sound_white(rows) if sound_noise else rows.white
             rows.dependence = self.expected(rows, rows.noise)
 
     def compare_with(self, null: Null) -> None:
-        """Set floors, lines and held parameters from the null of these runs."""
+        """Set floors, lines and held parameters from the null of these runs, then the usual weights."""
         self.null, self.lines = null, null.lines
         self.by_form = {effect: self.floors_of(effect, sizes) for effect, sizes in null.floors.items()}
         self.kept, self.unidentifiable = null.kept, null.unidentifiable
@@ -178,28 +183,29 @@ class Evidence:
         self.weigh_as_usual()
 
     def floors_of(self, effect: str, sizes: Sequence[float]) -> list[float]:
-        """Return the floors of an effect by form: the sizes by noise, at least the size sound machines have in common.
+        """Return the floors of an effect by form: the sizes, raised to those that sound machines have in common.
 
         A form that some sound machine does not show gets the floor of the nearest form that all of them show.
         """
         assert self.null is not None
-        forms, alike = self.forms.get(effect, ()), self.null.alike.get(effect) or [0.0] * len(sizes)
-        if len(forms) != len(sizes) or len(alike) != len(sizes):  # a periodic effect has one floor for all orders
+        forms, common_sizes = self.forms.get(effect, ()), self.null.common_sizes.get(effect) or [0.0] * len(sizes)
+        # a periodic effect has one floor for all orders
+        if len(forms) != len(sizes) or len(common_sizes) != len(sizes):
             return list(sizes)
-        floors = [max(pair) for pair in zip(sizes, alike, strict=True)]
-        shown = [index for index, error in enumerate(self.null.errors[effect]) if error < math.inf]
-        if not shown:
+        floors = [max(pair) for pair in zip(sizes, common_sizes, strict=True)]
+        shown_indices = [index for index, error in enumerate(self.null.errors[effect]) if error < math.inf]
+        if not shown_indices:
             return floors
-        seen_forms = [forms[index] for index in shown]
+        shown_forms = [forms[index] for index in shown_indices]
         return [
-            floor if index in shown else floors[shown[nearest_form(seen_forms, forms[index])]]
+            floor if index in shown_indices else floors[shown_indices[nearest_form(shown_forms, forms[index])]]
             for index, floor in enumerate(floors)
         ]
 
     def on(self, records: Sequence[Record], hypothesis: Sequence[Candidate], model: Model | None = None) -> "Evidence":
-        """Return the evidence of other runs for some effects, with the floors, forms and held parameters of this one.
+        """Return the evidence of other runs for some effects, with floors, forms and held parameters of this evidence.
 
-        model : model whose columns are used; by default that of this evidence.
+        model : model about which the columns are taken; by default that of this evidence.
         """
         evidence = Evidence(records, model or self.model, only=hypothesis, kept=self.kept, on_time=self.on_time)
         if self.null is not None:
@@ -211,10 +217,10 @@ class Evidence:
     def expected(self, rows: Rows, white: float | None = None) -> float:
         """Return the unrest that a sound machine has in some rows, at least one.
 
-        Sound machines give it as a ratio to their own noise from row to row, and as a variance: a case with less noise
-        has model errors of the same size, which stand out more.
+        The null holds it as a ratio to the noise of sound machines from row to row, and as a variance: in a case with
+        less noise, model errors of the same size stand out more.
 
-        white : noise from row to row that the unrest is relative to; by default that of the rows.
+        white : standard deviation from row to row that the unrest is relative to; by default that of the rows.
         """
         if self.null is None:
             return 1.0
@@ -222,14 +228,16 @@ class Evidence:
         return max(1.0, self.null.unrest.get(key, 0.0), self.null.left.get(key, 0.0) / (white or rows.white) ** 2)
 
     def sound_white(self, rows: Rows) -> float:
-        """Return the noise from row to row: a sound machine's where rounding makes most of it, else that of the rows.
+        """Return the noise from row to row, at most a sound machine's where rounding makes most of that.
 
-        A residual that swings within a few rows passes for noise. The noise of rounding is known, that of a machine is
-        not: where other noise prevails, the noise of the rows counts.
+        A residual that swings within a few rows passes for noise. Only the noise of rounding is known in advance: where
+        other noise prevails, the noise of the rows counts.
         """
-        sound = self.null.white.get((rows.equation, rows.run), 0.0) if self.null is not None else 0.0
+        sound_variance = self.null.white.get((rows.equation, rows.run), 0.0) if self.null is not None else 0.0
         return (
-            min(rows.white, math.sqrt(sound)) if rows.rounding**2 > LEAST_ROUNDING_SHARE * sound > 0.0 else rows.white
+            min(rows.white, math.sqrt(sound_variance))
+            if rows.rounding**2 > LEAST_ROUNDING_SHARE * sound_variance > 0.0
+            else rows.white
         )
 
     def is_judged(self, rows: Rows) -> bool:
@@ -247,19 +255,19 @@ class Evidence:
         machines cannot show errors that they share with the equations.
         """
         effect, form = candidate
-        floors, least = self.by_form.get(effect), NEGLIGIBLE_SHARE * self.worth_knowing.get(effect, 0.0)
+        floors, least_floor = self.by_form.get(effect), NEGLIGIBLE_SHARE * self.worth_knowing.get(effect, 0.0)
         if not floors:
-            return least
-        return max(least, floors[nearest_form(self.forms[effect], form) if len(floors) > 1 else 0])
+            return least_floor
+        return max(least_floor, floors[nearest_form(self.forms[effect], form) if len(floors) > 1 else 0])
 
     def add(self, candidates: Sequence[Candidate]) -> None:
-        """Add further forms of effects to the regression."""
-        fresh = [c for c in candidates if c not in self.candidates]
-        if not fresh:
+        """Add forms of effects to the regression, unless it has them."""
+        further = [candidate for candidate in candidates if candidate not in self.candidates]
+        if not further:
             return
-        self.candidates += fresh
-        for built, made in self._made:
-            for rows, columns in zip(made, effect_columns(built, fresh), strict=True):
+        self.candidates += further
+        for equations_of_run, rows_of_run in self._by_run:
+            for rows, columns in zip(rows_of_run, effect_columns(equations_of_run, further), strict=True):
                 add_columns(rows, columns)
         self.stack = stack(self._rows(), self.priors)
 
@@ -275,7 +283,7 @@ class Evidence:
         return Normal(self.stack, self.weights)
 
     def weigh(self, fit: Fit) -> None:
-        """Estimate noise and dependence of the rows from the residuals of a fit."""
+        """Estimate noise and dependence of the rows from the residuals of a fit, pooled by equation and kind of run."""
         pools: dict[tuple[str, str], list[tuple[Array, Rows]]] = {}
         for index, rows in enumerate(self.stack.rows):
             pools.setdefault((rows.equation, rows.kind), []).append((residuals(self.stack, fit, index), rows))
@@ -290,7 +298,7 @@ class Evidence:
 
         It is about one where white noise makes all of the residual.
         """
-        return self._mean_of(lambda rows: (rows.noise / rows.white) ** 2 * rows.dependence)
+        return self._mean_by_kind(lambda rows: (rows.noise / rows.white) ** 2 * rows.dependence)
 
     def white(self) -> dict[tuple[str, str], float]:
         """Return the variance of the noise from row to row, by equation and run."""
@@ -298,21 +306,25 @@ class Evidence:
 
     def left(self) -> dict[tuple[str, str], float]:
         """Return the residual variance times the rows per independent row, by equation and kind."""
-        return self._mean_of(lambda rows: rows.noise**2 * rows.dependence)
+        return self._mean_by_kind(lambda rows: rows.noise**2 * rows.dependence)
 
-    def _mean_of(self, of_rows: Callable[[Rows], float]) -> dict[tuple[str, str], float]:
-        by_kind: dict[tuple[str, str], list[float]] = {}
+    def _mean_by_kind(self, figure_of: Callable[[Rows], float]) -> dict[tuple[str, str], float]:
+        """Return the mean of a figure of the rows, by equation and kind of run."""
+        figures: dict[tuple[str, str], list[float]] = {}
         for rows in self.stack.rows:
-            by_kind.setdefault((rows.equation, rows.kind), []).append(of_rows(rows))
-        return {key: float(np.mean(values)) for key, values in by_kind.items()}
+            figures.setdefault((rows.equation, rows.kind), []).append(figure_of(rows))
+        return {key: float(np.mean(values)) for key, values in figures.items()}
 
     def stamping(self, fit: Fit) -> dict[str, Array]:
-        """Return the fitted weights of neighbouring samples, by equation with channels of unknown stamps."""
+        """Return the fitted weights of neighbouring samples, by equation with stamps of unknown meaning."""
         return {equation: weights for equation, (weights, _) in stamp_weights(self.stack, fit).items()}
 
     def settle(self, hypothesis: Sequence[Candidate], rounds: int = 2) -> Fit:
-        """Fit a hypothesis and its residual noise in turns."""
-        # start from the usual noise: from the noise of another hypothesis, a fit may not find the solution
+        """Return the fit of a hypothesis, with the noise estimated from its residuals; the rows keep that noise.
+
+        rounds : rounds of estimating the noise and fitting again; with 0 the usual noise counts.
+        """
+        # starting from the noise of another hypothesis, a fit may not find the solution
         self.weigh_as_usual()
         fit = self.normal().fit(hypothesis)
         for _ in range(rounds):
@@ -320,7 +332,7 @@ class Evidence:
             fit = self.normal().fit(hypothesis)
         return fit
 
-    def surprise(self) -> float:
+    def deviance(self) -> float:
         """Return twice the negative log likelihood under the present noise, up to a constant."""
         total = 0.0
         for rows in self.stack.rows:
@@ -329,13 +341,13 @@ class Evidence:
 
     def columns(self, candidate: Candidate) -> npt.NDArray[np.intp]:
         """Return the positions of the columns of one form of an effect; empty where no run shows it."""
-        form = ("effect", candidate[0], repr(candidate[1]))
-        positions = [position for name, position in self.stack.place.items() if name[:3] == form]
+        effect_and_form = ("effect", candidate[0], repr(candidate[1]))
+        positions = [position for name, position in self.stack.position_of.items() if name[:3] == effect_and_form]
         return np.asarray(sorted(positions), np.intp)
 
-    def coefficient(self, place: int) -> str:
+    def coefficient(self, column: int) -> str:
         """Return the name of the coefficient of an effect's column."""
-        name: Column = self.stack.names[place]
+        name: Column = self.stack.names[column]
         return name[3]
 
 
@@ -348,18 +360,21 @@ def rows_per_independent(residual: Array, memory: int = MEMORY_ROWS) -> float:
     power = float(residual @ residual)
     if power == 0.0 or len(residual) < 8:
         return 1.0
-    longest = min(memory, len(residual) // 4)
-    total = 1.0
-    for lag in range(1, longest):
+    longest_lag = min(memory, len(residual) // 4)
+    correlation_sum = 1.0
+    for lag in range(1, longest_lag):
         if lag == DIRECT_LAGS:  # beyond a few lags, one transform for all costs less
-            later_correlations = correlations(residual, longest)[lag:] / power
-            ends = np.flatnonzero(later_correlations <= LEAST_CORRELATION)
-            return max(total + 2.0 * float(later_correlations[: ends[0] if len(ends) else None].sum()), 1.0)
+            later_correlations = correlations(residual, longest_lag)[lag:] / power
+            ends_of_sum = np.flatnonzero(later_correlations <= LEAST_CORRELATION)
+            return max(
+                correlation_sum + 2.0 * float(later_correlations[: ends_of_sum[0] if len(ends_of_sum) else None].sum()),
+                1.0,
+            )
         correlation = float(residual[lag:] @ residual[:-lag]) / power
         if correlation <= LEAST_CORRELATION:
             break
-        total += 2.0 * correlation
-    return max(total, 1.0)
+        correlation_sum += 2.0 * correlation
+    return max(correlation_sum, 1.0)
 
 
 def correlations(values: Array, lags: int) -> Array:
@@ -370,7 +385,7 @@ def correlations(values: Array, lags: int) -> Array:
 
 
 def lacks_scale(names: set[str]) -> bool:
-    """Return whether the equations only balance torques against each other: all zero would satisfy them, too."""
+    """Return whether the equations only balance torques against each other: torques of zero would satisfy them."""
     return "voltage" not in names and "axis_torque" not in names and any(name.endswith("_torque") for name in names)
 
 
@@ -381,10 +396,9 @@ def forms_at_scales(records: Sequence[Record], model: Model) -> dict[str, list[F
 
 
 def nearest_form(forms: Sequence[Form], form: Form) -> int:
-    """Return the index of the form nearest to one, by relative differences of their numbers."""
+    """Return the index of the form that is nearest to `form` by the relative differences of their numbers."""
     distances = [
-        sum(abs(a - b) / max(abs(a) + abs(b), 1e-300) for a, b in zip(candidate, form, strict=True))
-        for candidate in forms
+        sum(abs(a - b) / max(abs(a) + abs(b), 1e-300) for a, b in zip(other, form, strict=True)) for other in forms
     ]
     return int(np.argmin(distances))
 

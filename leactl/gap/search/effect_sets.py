@@ -36,11 +36,11 @@ MOST_ASCENTS = 8  # steps along a ridge from the best form of the last grid
 LEAST_FORM_DIFFERENCE = 2.0  # difference in weighted squares below which forms cannot be told apart
 NOISE_ROUNDS = (2, 0)  # rounds of estimating the noise from a set's residuals; 0 keeps the usual noise
 MOST_SHORTLISTED = 4  # candidates of one ranking that are fitted
-MOST_USUAL_POWER = 2.0  # largest residual power that counts as usual, in units of a sound machine's noise power
-WHOLE_ROUNDS = 2  # rounds of bringing shaped effects to their whole form
+MOST_USUAL_POWER = 2.0  # largest residual power that counts as usual, in units of the usual noise power
+WHOLE_ROUNDS = 2  # rounds of bringing shaped effects to the form with a strength of one
 WAVE_COEFFICIENTS = ("cos", "sin")  # coefficients that make one amplitude
 OVERTONES = (2.0, 3.0)  # multiples of its order that a machine's wave also contains
-LOOSE_SHARE = 0.8  # `explains` of an effect below which its columns count as loose
+LOOSE_SHARE = 0.8  # share that an effect explains at least (`explains`), below which its columns count as loose
 LOOSE_FORM_ERROR = 0.1  # `FORM_ERROR` for an effect with loose columns
 TIE_SHARE = 1e-6  # share of its gain that the unusual one of two effects with equal columns loses; far above rounding
 RIVAL_FORM_ERROR = 0.005  # standard deviation, as a share of the gain, of the difference of two nearly right forms
@@ -58,12 +58,12 @@ class FurtherEffect:
     """One effect fitted in addition to a base hypothesis."""
 
     candidate: Candidate
-    gain: float  # weighted squares by which it lowers the misfit
+    gain: float  # weighted squares by which the effect lowers the misfit
     size: float  # in units of its leading parameter
-    std: float
-    values: tuple[float, ...]
-    names: tuple[str, ...]
-    covariance: Array
+    std: float  # standard error of the size
+    values: tuple[float, ...]  # coefficients
+    names: tuple[str, ...]  # of the coefficients
+    covariance: Array  # of the coefficients
     floor: float  # size fitted to a sound machine, which has no effect
     by_chance: float = 0.0  # squared standard errors by which noise raises the best of the orders tried
 
@@ -91,9 +91,9 @@ class FurtherEffect:
 
     @property
     def height(self) -> float:
-        """Ratio of the size, less what noise gives the best of many orders, to the error and floor in quadrature."""
-        beyond = math.sqrt(max(self.size**2 - self.by_chance * self.std**2, 0.0))
-        return beyond / math.hypot(self.std, self.floor)
+        """Ratio of the size, less what noise gives the best of many orders, to its error and floor in quadrature."""
+        size_beyond_chance = math.sqrt(max(self.size**2 - self.by_chance * self.std**2, 0.0))
+        return size_beyond_chance / math.hypot(self.std, self.floor)
 
 
 def fit_further_effect(
@@ -101,17 +101,17 @@ def fit_further_effect(
     normal: Normal,
     base: npt.NDArray[np.intp],
     candidate: Candidate,
-    whole: bool = False,
-    free: bool = False,
+    at_full_strength: bool = False,
+    any_size: bool = False,
 ) -> FurtherEffect | None:
-    """Fit one form of an effect in addition to a base; return None where the fit is no possible effect.
+    """Return the fit of one form of an effect in addition to a base; None where the fit is no possible effect.
 
     That is where no run shows the form, where the sign is impossible, and where the whole interval of the size lies
-    beyond the range in which the effect is met: so large a residual has another cause.
+    outside the range in which the effect is met: another cause makes such a residual.
 
     base : columns of the base hypothesis.
-    whole : whether a shaped effect counts at full strength, not at the fitted share of it.
-    free : whether any sign and size is accepted.
+    at_full_strength : whether a shaped effect counts at full strength, not at the fitted share of it.
+    any_size : whether any sign and size is accepted.
     """
     columns = evidence.columns(candidate)
     if len(columns) == 0:
@@ -120,34 +120,34 @@ def fit_further_effect(
     effect = library()[candidate[0]]
     if not effect.is_usual(evidence.travel):
         gain *= 1.0 - TIE_SHARE
-    if effect.one_sided and values[0] <= 0.0 and not free:
+    if effect.one_sided and values[0] <= 0.0 and not any_size:
         return None
     if effect.shaped and not (
-        covariance[0, 0] < STRENGTH_RANGE[1] ** 2 and (free or STRENGTH_RANGE[0] < values[0] < STRENGTH_RANGE[1])
+        covariance[0, 0] < STRENGTH_RANGE[1] ** 2 and (any_size or STRENGTH_RANGE[0] < values[0] < STRENGTH_RANGE[1])
     ):
         return None
-    if effect.shaped and whole:
+    if effect.shaped and at_full_strength:
         gain = float((2.0 * values[0] - 1.0) / covariance[0, 0])  # at strength 1, not at the fitted one
     names = tuple(evidence.coefficient(column) for column in columns)
     coefficients = dict(zip(names, values.tolist(), strict=True))
-    if not free and not effect.is_distinct(candidate[1], coefficients, evidence.visited):
+    if not any_size and not effect.is_distinct(candidate[1], coefficients, evidence.visited):
         gain -= constant_torque_penalty(gain)
-    if effect.shaped and free:
+    if effect.shaped and any_size:
         coefficients[names[0]] = min(abs(coefficients[names[0]]), STRENGTH_RANGE[1])
     size = effect.size(candidate[1], coefficients, evidence.model)
     leading = leading_positions(names)
     leading_values, leading_covariance = values[leading], covariance[np.ix_(leading, leading)]
-    length = max(float(np.linalg.norm(leading_values)), 1e-300)
+    vector_length = max(float(np.linalg.norm(leading_values)), 1e-300)
     if not (np.isfinite(leading_values).all() and np.isfinite(leading_covariance).all()):
         return None
-    direction = leading_values / length
-    std = size / length * math.sqrt(max(float(direction @ leading_covariance @ direction), 0.0))
+    direction = leading_values / vector_length
+    std = size / vector_length * math.sqrt(max(float(direction @ leading_covariance @ direction), 0.0))
     floor = evidence.floor(candidate)
     if effect.delays:  # a delay within the uncertainty of stamps is no effect, however significant
         floor = max(floor, delay_of_stamps(evidence.stack, evidence.on_time, candidate) / ENTRY_HEIGHT)
     by_chance = 2.0 * math.log(effect.orders[1] - effect.orders[0] + 1) if effect.periodic else 0.0
-    result = FurtherEffect(candidate, gain, size, std, tuple(values.tolist()), names, covariance, floor, by_chance)
-    return result if whole or free or is_possible(evidence, result) else None
+    further = FurtherEffect(candidate, gain, size, std, tuple(values.tolist()), names, covariance, floor, by_chance)
+    return further if at_full_strength or any_size or is_possible(evidence, further) else None
 
 
 def leading_positions(names: Sequence[str]) -> list[int]:
@@ -166,16 +166,16 @@ def constant_torque_penalty(gain: float) -> float:
 
 
 def fit_each_alone(evidence: Evidence) -> dict[str, list[FurtherEffect | None]]:
-    """Fit every effect alone, with any sign, in each form of the grid; None for forms that no run shows."""
+    """Return the fits of every effect alone, with any sign, in each form of the grid; None where no run shows it."""
     normal, base = evidence.normal(), evidence.stack.columns_of([])
-    tried: dict[str, list[FurtherEffect | None]] = {}
+    fits: dict[str, list[FurtherEffect | None]] = {}
     for candidate in evidence.candidates:
-        tried.setdefault(candidate[0], []).append(fit_further_effect(evidence, normal, base, candidate, free=True))
-    return tried
+        fits.setdefault(candidate[0], []).append(fit_further_effect(evidence, normal, base, candidate, any_size=True))
+    return fits
 
 
-def sizes_beyond_noise(name: str, items: Sequence[FurtherEffect | None]) -> list[float]:
-    """Return the size of an effect beyond noise in each form of the grid; empty where no form gains.
+def sizes_beyond_noise(name: str, fits: Sequence[FurtherEffect | None]) -> list[float]:
+    """Return the size of an effect beyond noise in each form of the grid; empty where no form lowers the misfit.
 
     The size is measured in the form with the largest gain and scaled to the other forms by their standard errors: a
     form that the runs hardly show is large where one that they show well is small. A periodic effect has one size, that
@@ -183,20 +183,20 @@ def sizes_beyond_noise(name: str, items: Sequence[FurtherEffect | None]) -> list
     variance is about 1 + 2 ln n.
     """
     effect = library()[name]
-    best = max((item for item in items if item is not None), key=lambda item: item.gain, default=None)
+    best = max((fit for fit in fits if fit is not None), key=lambda fit: fit.gain, default=None)
     if best is None or best.gain <= 0.0:
         return []
     count = effect.orders[1] - effect.orders[0] + 1 if effect.periodic else len(effect.forms)
-    beyond = math.sqrt(max(best.size**2 - best.std**2 * (1.0 + 2.0 * math.log(count)), 0.0))
-    stds = [best.std if item is None or effect.periodic else item.std for item in items]
-    most = MOST_SIZE_RATIO * effect_definition(name).largest
-    sizes = [min(beyond * std / best.std, most) for std in stds]
+    size_beyond_noise = math.sqrt(max(best.size**2 - best.std**2 * (1.0 + 2.0 * math.log(count)), 0.0))
+    stds = [best.std if fit is None or effect.periodic else fit.std for fit in fits]
+    largest_size = MOST_SIZE_RATIO * effect_definition(name).largest
+    sizes = [min(size_beyond_noise * std / best.std, largest_size) for std in stds]
     return sizes[:1] if effect.periodic else sizes
 
 
-def standard_errors(name: str, items: Sequence[FurtherEffect | None]) -> list[float]:
-    """Return the standard error of an effect by form, infinite where no run shows it; of a periodic one the least."""
-    stds = [math.inf if item is None else item.std for item in items]
+def standard_errors(name: str, fits: Sequence[FurtherEffect | None]) -> list[float]:
+    """Return the standard error of an effect by form, infinite where no run shows it; for a periodic one the least."""
+    stds = [math.inf if fit is None else fit.std for fit in fits]
     return [min(stds)] if library()[name].periodic else stds
 
 
@@ -233,16 +233,16 @@ def outweighs_equation(stack: Stack, columns: npt.NDArray[np.intp], values: Arra
 
 
 def best_of_each(
-    evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], whole: bool = False
+    evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], at_full_strength: bool = False
 ) -> list[FurtherEffect]:
-    """Fit every effect that is not in a hypothesis in addition to it; return the best form of each, by falling gain."""
+    """Return every effect that is not in a hypothesis, fitted in addition to it in its best form, by falling gain."""
     base = evidence.stack.columns_of(hypothesis)
     effects_in_set = {effect for effect, _ in hypothesis}
     best: dict[str, FurtherEffect] = {}
     for candidate in evidence.candidates:
         if candidate[0] in effects_in_set:
             continue
-        further = fit_further_effect(evidence, normal, base, candidate, whole)
+        further = fit_further_effect(evidence, normal, base, candidate, at_full_strength)
         if further is not None and (candidate[0] not in best or further.gain > best[candidate[0]].gain):
             best[candidate[0]] = further
     return sorted(best.values(), key=lambda item: -item.gain)
@@ -255,12 +255,12 @@ class EffectSet:
     hypothesis: list[Candidate]
     members: list[FurtherEffect]  # each fitted in addition to the other members
     rivals: list[list[FurtherEffect]]  # for each member: itself, then every effect fitted in its place
-    rest: list[FurtherEffect]  # effects fitted in addition to the whole set, by falling gain
+    further_effects: list[FurtherEffect]  # effects fitted in addition to the whole set, by falling gain
     fit: Fit
-    taken: list[float]  # by group of rows: weighted squares under usual noise explained by the set and its overtones
-    left: list[float]  # by group of rows: weighted squares that remain beyond usual noise
-    moved: list[list[float]]  # by member and group of rows: absolute change of the misfit without the member
-    missed: dict[Candidate, float]  # squares that free forms of members and close rivals explain in addition
+    squares_taken: list[float]  # by group of rows: weighted squares that the set and its overtones explain
+    squares_left: list[float]  # by group of rows: weighted squares that remain beyond the usual noise
+    misfit_changes: list[list[float]]  # by member and group of rows: absolute change of the misfit without the member
+    squares_missed: dict[Candidate, float]  # squares that free forms of members and close rivals explain in addition
 
     def explained(self, evidence: Evidence, index: int) -> float:
         """Return the share of the calibrated residual beyond usual noise that the set explains where a member acts.
@@ -270,32 +270,33 @@ class EffectSet:
         what is missing there.
         """
         candidate = self.members[index].candidate
-        squares_taken = sum_where_acting(evidence, candidate, self.taken)
-        share_where_touched = (
-            squares_taken / (squares_taken + sum_where_acting(evidence, candidate, self.left))
-            if squares_taken > 0.0
+        taken_where_acting = sum_where_acting(evidence, candidate, self.squares_taken)
+        share_where_acting = (
+            taken_where_acting / (taken_where_acting + sum_where_acting(evidence, candidate, self.squares_left))
+            if taken_where_acting > 0.0
             else 0.0
         )
-        return min(share_where_touched, self._explained_where_moved(evidence, self.moved[index]))
+        return min(share_where_acting, self._explained_where_misfit_changes(evidence, self.misfit_changes[index]))
 
-    def _explained_where_moved(self, evidence: Evidence, moved: Sequence[float]) -> float:
+    def _explained_where_misfit_changes(self, evidence: Evidence, misfit_changes: Sequence[float]) -> float:
+        """Return the mean share that the set explains of channels, weighted by a member's changes of their misfit."""
         taken_by_channel: dict[tuple[str, str], float] = {}
         total_by_channel: dict[tuple[str, str], float] = {}
         channels = [(rows.equation, rows.mechanical) for rows in evidence.stack.rows]
-        for channel, squares_taken, squares_left in zip(channels, self.taken, self.left, strict=True):
+        for channel, squares_taken, squares_left in zip(channels, self.squares_taken, self.squares_left, strict=True):
             taken_by_channel[channel] = taken_by_channel.get(channel, 0.0) + squares_taken
             total_by_channel[channel] = total_by_channel.get(channel, 0.0) + squares_taken + squares_left
         shares = [
             taken_by_channel[channel] / total_by_channel[channel] if total_by_channel[channel] > 0.0 else 1.0
             for channel in channels
         ]
-        return sum(moved_misfit * share for moved_misfit, share in zip(moved, shares, strict=True)) / max(
-            sum(moved), 1e-300
+        return sum(misfit_change * share for misfit_change, share in zip(misfit_changes, shares, strict=True)) / max(
+            sum(misfit_changes), 1e-300
         )
 
 
 def search(evidence: Evidence) -> EffectSet:
-    """Find the set of effects that explains the runs."""
+    """Return the set of effects that explains the runs."""
     hypothesis: list[Candidate] = []
     while len(hypothesis) < MOST_EFFECTS:
         added = effect_to_add(evidence, hypothesis)
@@ -311,18 +312,18 @@ def effect_to_add(evidence: Evidence, hypothesis: Sequence[Candidate]) -> Candid
     """Return the effect to add to a hypothesis, or None where no effect is above its floor.
 
     Effects are ranked twice. Under the usual noise an effect on all channels ranks first, under the noise that the
-    present set leaves an effect on a quiet channel does. The best of both lists is found by fitting.
+    present set leaves an effect on a quiet channel does. The shortlisted effects of both rankings are then fitted.
     """
-    listed = shortlist(evidence, hypothesis)
-    if len(listed) > 1:
+    shortlisted = shortlist(evidence, hypothesis)
+    if len(shortlisted) > 1:
         trials = []
-        for candidate in listed:
+        for candidate in shortlisted:
             evidence.settle([*hypothesis, candidate])
-            trials.append((evidence.surprise(), candidate))
-        least = min(surprise for surprise, _ in trials)
-        # the first of the list
-        return next(candidate for surprise, candidate in trials if surprise < least + EQUAL_FIT_DIFFERENCE)
-    return listed[0] if listed else None
+            trials.append((evidence.deviance(), candidate))
+        least_deviance = min(deviance for deviance, _ in trials)
+        # of equally good fits the first: both rankings are by falling gain
+        return next(candidate for deviance, candidate in trials if deviance < least_deviance + EQUAL_FIT_DIFFERENCE)
+    return shortlisted[0] if shortlisted else None
 
 
 def shortlist(evidence: Evidence, hypothesis: Sequence[Candidate]) -> list[Candidate]:
@@ -357,8 +358,8 @@ class CandidateTest:
         evidence.add(overtones)
         fit = evidence.settle(hypothesis, rounds)
         self.normal = evidence.normal()
-        self._wider = [*hypothesis, *overtones]
-        self._fit = self.normal.fit(self._wider) if overtones else fit
+        self._set_and_overtones = [*hypothesis, *overtones]
+        self._fit = self.normal.fit(self._set_and_overtones) if overtones else fit
         self._reductions = {name: self._reduction_by(fit, hypothesis, k) for k, (name, _) in enumerate(hypothesis)}
 
     def exceeds_form_error(self, candidate: Candidate) -> bool:
@@ -367,18 +368,20 @@ class CandidateTest:
         In each equation a change of either sign up to the allowance counts as none; the cost of the parameters' priors
         counts in full.
         """
-        larger = self.normal.fit([*self._wider, candidate])
-        reduction = self._fit.misfit - larger.misfit
-        for equation, change in sum_by_equation(self.normal, reduction_by_rows(self.normal, self._fit, larger)).items():
+        fit_with_candidate = self.normal.fit([*self._set_and_overtones, candidate])
+        reduction = self._fit.misfit - fit_with_candidate.misfit
+        for equation, change in sum_by_equation(
+            self.normal, reduction_by_rows(self.normal, self._fit, fit_with_candidate)
+        ).items():
             allowance = sum(
-                form_error(name, candidate[0]) * max(of_member[equation], 0.0)
-                for name, of_member in self._reductions.items()
+                form_error(name, candidate[0]) * max(reduction_of[equation], 0.0)
+                for name, reduction_of in self._reductions.items()
             )
             reduction -= min(max(change, -allowance), allowance)
-        return reduction > ENTRY_HEIGHT**2 and outdoes_free_forms(self.normal, self._wider, candidate)
+        return reduction > ENTRY_HEIGHT**2 and outdoes_free_forms(self.normal, self._set_and_overtones, candidate)
 
     def _reduction_by(self, fit: Fit, hypothesis: Sequence[Candidate], index: int) -> dict[str, float]:
-        """Return by how much one member lowers the misfit of each equation in addition to the other members."""
+        """Return by how much one member lowers the misfit of each equation beside the other members."""
         others = [*hypothesis[:index], *hypothesis[index + 1 :]]
         return sum_by_equation(self.normal, reduction_by_rows(self.normal, self.normal.fit(others), fit))
 
@@ -399,41 +402,43 @@ def form_error(effect: str, other: str) -> float:
 def overtones_of(hypothesis: Sequence[Candidate]) -> list[Candidate]:
     """Return the overtones of a set's waves, up to the highest order that the library tries."""
     return [
-        (name, (times * form[0], *form[1:]))
+        (name, (multiple * form[0], *form[1:]))
         for name, form in hypothesis
-        for times in OVERTONES
-        if form and times * form[0] <= library()[name].orders[1]
+        for multiple in OVERTONES
+        if form and multiple * form[0] <= library()[name].orders[1]
     ]
 
 
 def sum_by_equation(normal: Normal, amounts: Sequence[float]) -> dict[str, float]:
-    """Sum amounts, one for each group of rows, over each equation."""
+    """Return the sums over each equation of amounts, one for each group of rows."""
     sums: dict[str, float] = {}
     for rows, amount in zip(normal.stack.rows, amounts, strict=True):
         sums[rows.equation] = sums.get(rows.equation, 0.0) + amount
     return sums
 
 
-def reduction_by_rows(normal: Normal, before: Fit, after: Fit) -> list[float]:
-    """Return by how much the misfit of each group of rows is lower after than before; negative where it is higher."""
+def reduction_by_rows(normal: Normal, fit_before: Fit, fit_after: Fit) -> list[float]:
+    """Return by how much the misfit of each group of rows is lower in one fit than in another, or negative."""
     return [
-        normal.weights[k] * len(rows.left_over) * (normal.residual(before, k) ** 2 - normal.residual(after, k) ** 2)
+        normal.weights[k]
+        * len(rows.left_over)
+        * (normal.residual_rms(fit_before, k) ** 2 - normal.residual_rms(fit_after, k) ** 2)
         for k, rows in enumerate(normal.stack.rows)
     ]
 
 
-def sum_where_acting(evidence: Evidence, candidate: Candidate, explained: Sequence[float]) -> float:
-    """Sum the squares explained over the groups of rows that hold a column of a candidate."""
-    key = (candidate[0], repr(candidate[1]))
+def sum_where_acting(evidence: Evidence, candidate: Candidate, amounts: Sequence[float]) -> float:
+    """Return the sum of amounts, one for each group of rows, over those groups that hold a column of a candidate."""
+    effect_and_form = (candidate[0], repr(candidate[1]))
     return sum(
         amount
-        for amount, rows in zip(explained, evidence.stack.rows, strict=True)
-        if any(name[0] == "effect" and (name[1], name[2]) == key for name in rows.columns)
+        for amount, rows in zip(amounts, evidence.stack.rows, strict=True)
+        if any(name[0] == "effect" and (name[1], name[2]) == effect_and_form for name in rows.columns)
     )
 
 
 def exchange(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
-    """Replace each member by the best effect in its place, the other members held, until no effect changes."""
+    """Return a set with each member replaced by the best effect beside the other members, until no effect changes."""
     for _ in range(MOST_EXCHANGES):
         evidence.settle(hypothesis)
         normal, changed = evidence.normal(), False
@@ -449,12 +454,12 @@ def exchange(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]
 
 
 def refine(evidence: Evidence, hypothesis: list[Candidate], shapes: bool = True) -> list[Candidate]:
-    """Refine the non-linear parameters of each member between the grid's values and slightly beyond.
+    """Return a set with the non-linear parameters of each member refined between grid values and slightly beyond.
 
     shapes : whether to refine the forms that a fitted strength determines, too.
     """
     for index, candidate in enumerate(hypothesis):
-        if shapes or not strength_tells_form(*candidate):
+        if shapes or not strength_determines_form(*candidate):
             hypothesis[index] = refine_member(evidence, hypothesis[:index] + hypothesis[index + 1 :], candidate)
     return hypothesis
 
@@ -470,7 +475,7 @@ def refine_member(evidence: Evidence, others: list[Candidate], candidate: Candid
     if effect.narrow:
         form = best_scanned_form(evidence, others, name, form, ratios[0])
     form = refined_form(evidence, others, name, form, ratios)
-    if not strength_tells_form(name, form):
+    if not strength_determines_form(name, form):
         if effect.refined > 1:
             form = nearest_summit(evidence, others, (name, form), ratios)
         evidence.form_spread[name, form] = spread_of_form(evidence, others, (name, form), ratios)
@@ -478,7 +483,7 @@ def refine_member(evidence: Evidence, others: list[Candidate], candidate: Candid
 
 
 def replace_by_refined_rivals(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
-    """Refine the close rivals of each member, then replace the member by the effect with the largest gain.
+    """Return a set with each member replaced by the effect with the largest gain, once its close rivals are refined.
 
     The grid is coarse for a form with a threshold: the effect whose threshold lies nearer to a grid value gains more,
     whether or not it acts.
@@ -486,25 +491,25 @@ def replace_by_refined_rivals(evidence: Evidence, hypothesis: list[Candidate]) -
     for index, candidate in enumerate(hypothesis):
         others = hypothesis[:index] + hypothesis[index + 1 :]
         ranked = best_of_each(evidence, evidence.normal(), others)
-        gain = next((item.gain for item in ranked if item.effect == candidate[0]), math.inf)
-        close = [
+        gain_of_member = next((item.gain for item in ranked if item.effect == candidate[0]), math.inf)
+        close_rivals = [
             item.candidate
             for item in ranked
             if item.height > ENTRY_HEIGHT
-            and gain - item.gain < CLOSE_RIVAL_FACTOR * gain_tolerance(gain)
+            and gain_of_member - item.gain < CLOSE_RIVAL_FACTOR * gain_tolerance(gain_of_member)
             and item.effect != candidate[0]
-            and not strength_tells_form(*item.candidate)
+            and not strength_determines_form(*item.candidate)
         ]
-        for rival in close[:MOST_SHORTLISTED]:
+        for rival in close_rivals[:MOST_SHORTLISTED]:
             refine_member(evidence, others, rival)  # its finer forms are among the candidates from here on
-        if close:
-            best = best_of_each(evidence, evidence.normal(), others)
-            if best[0].height > ENTRY_HEIGHT:
-                hypothesis[index] = best[0].candidate
+        if close_rivals:
+            refined_ranking = best_of_each(evidence, evidence.normal(), others)
+            if refined_ranking[0].height > ENTRY_HEIGHT:
+                hypothesis[index] = refined_ranking[0].candidate
     return hypothesis
 
 
-def strength_tells_form(name: str, form: Form) -> bool:
+def strength_determines_form(name: str, form: Form) -> bool:
     """Return whether a fraction of an effect in one form equals the whole effect in another form."""
     return library()[name].shaped and library()[name].whole(form, 0.5) != form
 
@@ -516,46 +521,48 @@ class LocalShape(NamedTuple):
     numbers whose grid has two values or more. `curvature`, (n, n), is minus half the Hessian: positive about a summit.
     """
 
-    free: list[int]  # positions of these numbers
-    steps: list[float]  # finest step of each, as a natural logarithm
-    slope: npt.NDArray[np.float64]
+    varied: list[int]  # positions of these numbers
+    steps: list[float]  # finest step of each number, as a natural logarithm
+    slope: npt.NDArray[np.float64]  # (n,)
     curvature: npt.NDArray[np.float64]
 
 
 def local_shape(
     evidence: Evidence, others: list[Candidate], candidate: Candidate, ratios: Sequence[float]
 ) -> LocalShape | None:
-    """Measure slope and curvature of the gain about a form.
+    """Return slope and curvature of the gain about a form.
 
     None where no refined number has two grid values, or a neighbouring form is not possible.
 
-    ratios : of neighbouring grid values of each number; 1 for one that is not refined.
+    ratios : ratio of neighbouring grid values of each number; 1 for a number that is not refined.
     """
     name, form = candidate
-    free = [index for index, ratio in enumerate(ratios) if ratio > 1.0]
-    if not free:
+    varied = [index for index, ratio in enumerate(ratios) if ratio > 1.0]
+    if not varied:
         return None
-    steps = [STEP_SHARES[-1] * math.log(ratios[index]) for index in free]
-    # the form itself, each number by one step either way, and each pair of numbers by one step each
-    moves = [move for move in product((-1, 0, 1), repeat=len(free)) if sum(map(abs, move)) <= 2]
-    forms = {move: scaled_form(form, dict(zip(free, map(mul, move, steps), strict=True))) for move in moves}
+    steps = [STEP_SHARES[-1] * math.log(ratios[index]) for index in varied]
+    # no move, each number by one step either way, and each pair of numbers by one step each
+    moves = [move for move in product((-1, 0, 1), repeat=len(varied)) if sum(map(abs, move)) <= 2]
+    forms = {move: scaled_form(form, dict(zip(varied, map(mul, move, steps), strict=True))) for move in moves}
     gains, all_possible = gains_of(evidence, others, [(name, forms[move]) for move in moves])
     if not all_possible:
         return None
 
-    def both_ways(move: Sequence[int]) -> tuple[float, float]:
+    def slope_and_fall(move: Sequence[int]) -> tuple[float, float]:
         """Return the slope of the gain along a move, and its fall from the form, on average over move and reverse."""
-        there, back = (gains[forms[tuple(sign * part for part in move)]] for sign in (1, -1))
-        return 0.5 * (there - back), gains[form] - 0.5 * (there + back)
+        gain_ahead, gain_behind = (gains[forms[tuple(sign * step for step in move)]] for sign in (1, -1))
+        return 0.5 * (gain_ahead - gain_behind), gains[form] - 0.5 * (gain_ahead + gain_behind)
 
-    unit_moves = np.eye(len(free), dtype=int)
-    along = [both_ways(row.tolist()) for row in unit_moves]
-    curvature = np.diag([fall for _, fall in along])
-    for i, j in combinations(range(len(free)), 2):
-        together, opposed = (both_ways((unit_moves[i] + sign * unit_moves[j]).tolist())[1] for sign in (1, -1))
-        # the fall is c_ii + c_jj + 2 c_ij together, and c_ii + c_jj - 2 c_ij opposed
-        curvature[i, j] = curvature[j, i] = 0.25 * (together - opposed)
-    return LocalShape(free, steps, np.array([rise for rise, _ in along]), curvature)
+    unit_moves = np.eye(len(varied), dtype=int)
+    slopes_and_falls = [slope_and_fall(row.tolist()) for row in unit_moves]
+    curvature = np.diag([fall for _, fall in slopes_and_falls])
+    for i, j in combinations(range(len(varied)), 2):
+        fall_together, fall_opposed = (
+            slope_and_fall((unit_moves[i] + sign * unit_moves[j]).tolist())[1] for sign in (1, -1)
+        )
+        # the fall is c_ii + c_jj + 2 c_ij for steps of one sign, and c_ii + c_jj - 2 c_ij for steps of opposite sign
+        curvature[i, j] = curvature[j, i] = 0.25 * (fall_together - fall_opposed)
+    return LocalShape(varied, steps, np.array([slope for slope, _ in slopes_and_falls]), curvature)
 
 
 def scaled_form(form: Form, logs: Mapping[int, float]) -> Form:
@@ -572,18 +579,18 @@ def nearest_summit(evidence: Evidence, others: list[Candidate], candidate: Candi
     """
     name, form = candidate
     for _ in range(MOST_ASCENTS):
-        local = local_shape(evidence, others, (name, form), ratios)
-        if local is None or np.linalg.eigvalsh(local.curvature)[0] <= 0.0:
+        shape = local_shape(evidence, others, (name, form), ratios)
+        if shape is None or np.linalg.eigvalsh(shape.curvature)[0] <= 0.0:
             break
-        ascent = 0.5 * np.linalg.solve(local.curvature, local.slope)
-        longest = STEP_SHARES[0] / STEP_SHARES[-1]  # first steps, in finest ones
-        ascent *= longest / max(float(np.max(np.abs(ascent))), longest)
-        logs = dict(zip(local.free, (ascent * local.steps).tolist(), strict=True))
-        further = scaled_form(form, logs)
-        gains, _ = gains_of(evidence, others, [(name, form), (name, further)])
-        if gains.get(further, -math.inf) <= gains[form] + EQUAL_FIT_DIFFERENCE:
+        ascent = 0.5 * np.linalg.solve(shape.curvature, shape.slope)
+        longest_step = STEP_SHARES[0] / STEP_SHARES[-1]  # first steps of `refined_form`, in finest steps
+        ascent *= longest_step / max(float(np.max(np.abs(ascent))), longest_step)
+        logs = dict(zip(shape.varied, (ascent * shape.steps).tolist(), strict=True))
+        next_form = scaled_form(form, logs)
+        gains, _ = gains_of(evidence, others, [(name, form), (name, next_form)])
+        if gains.get(next_form, -math.inf) <= gains[form] + EQUAL_FIT_DIFFERENCE:
             break
-        form = further
+        form = next_form
     return form
 
 
@@ -596,24 +603,26 @@ def spread_of_form(
     gives the covariance. It is infinite for all refined numbers where the gain is not curved downwards in every
     direction, or a neighbouring form is not possible, and zero for a number that is not refined.
     """
-    spread = np.diag([math.inf if ratio > 1.0 else 0.0 for ratio in ratios])
-    local = local_shape(evidence, others, candidate, ratios)
-    if local is not None and np.linalg.eigvalsh(local.curvature)[0] > 0.0:
-        spread[np.ix_(local.free, local.free)] = np.linalg.inv(local.curvature) * np.outer(local.steps, local.steps)
-    return spread
+    covariance = np.diag([math.inf if ratio > 1.0 else 0.0 for ratio in ratios])
+    shape = local_shape(evidence, others, candidate, ratios)
+    if shape is not None and np.linalg.eigvalsh(shape.curvature)[0] > 0.0:
+        covariance[np.ix_(shape.varied, shape.varied)] = np.linalg.inv(shape.curvature) * np.outer(
+            shape.steps, shape.steps
+        )
+    return covariance
 
 
 def grid_values(position: int, form: Form, forms: Sequence[Form]) -> list[float]:
     """Return the grid values of the parameter at one position of a form, ascending.
 
-    Only grid forms whose later parameters equal those of `form` count, or all of them where there is none.
+    Only grid forms whose later parameters equal those of `form` count, or all grid forms where none matches.
     """
     matching_values = {grid_form[position] for grid_form in forms if grid_form[position + 1 :] == form[position + 1 :]}
     return sorted(matching_values or {grid_form[position] for grid_form in forms})
 
 
 def best_scanned_form(evidence: Evidence, others: list[Candidate], name: str, form: Form, ratio: float) -> Form:
-    """Return the best form between one form and its grid neighbours; a narrow effect may have several local optima.
+    """Return the best form between a form and its grid neighbours: a narrow effect may have several local optima.
 
     ratio : ratio of neighbouring grid values of the first parameter.
     """
@@ -623,30 +632,38 @@ def best_scanned_form(evidence: Evidence, others: list[Candidate], name: str, fo
     return max(gains, key=lambda tried_form: gains[tried_form], default=form)
 
 
-def gains_of(evidence: Evidence, others: list[Candidate], tried: list[Candidate]) -> tuple[dict[Form, float], bool]:
+def gains_of(
+    evidence: Evidence, others: list[Candidate], candidates: list[Candidate]
+) -> tuple[dict[Form, float], bool]:
     """Return the gain of each possible form beside other members, and whether every form is possible."""
-    evidence.add(tried)
+    evidence.add(candidates)
     normal, base = evidence.normal(), evidence.stack.columns_of(others)
-    possible = [item for trial in tried if (item := fit_further_effect(evidence, normal, base, trial)) is not None]
-    return {item.candidate[1]: item.gain for item in possible}, len(possible) == len(tried)
+    possible = [
+        further
+        for candidate in candidates
+        if (further := fit_further_effect(evidence, normal, base, candidate)) is not None
+    ]
+    return {further.candidate[1]: further.gain for further in possible}, len(possible) == len(candidates)
 
 
 def refined_form(evidence: Evidence, others: list[Candidate], name: str, form: Form, ratios: Sequence[float]) -> Form:
-    """Search for a better form in the neighbourhood of one form.
+    """Return the best form in the neighbourhood of a form.
 
     Every combination of one step down, no step and one step up is tried for the first parameters together, since they
-    can compensate each other. Steps become finer (`STEP_SHARES`); the search ends where all trials gain alike.
+    can compensate each other. Steps become finer (`STEP_SHARES`); the search ends where all trials gain about the same.
 
-    ratios : the largest ratio of neighbouring grid values of each of these parameters.
+    ratios : largest ratio of neighbouring grid values of each of these parameters.
     """
     # a fitted strength below one is equal to another form of such an effect, which `make_whole` finds at once: larger
     # moves would lead to a fraction of a longer delay
-    strength_is_form = strength_tells_form(name, form)
-    for part in STEP_SHARES[:2] if strength_is_form else STEP_SHARES:
+    strength_is_form = strength_determines_form(name, form)
+    for step_share in STEP_SHARES[:2] if strength_is_form else STEP_SHARES:
         for _ in range(1 if strength_is_form else MOST_MOVES):
-            steps = product(*((ratio**-part, 1.0, ratio**part) if ratio > 1.0 else (1.0,) for ratio in ratios))
-            tried = [(name, (*map(mul, form, step), *form[len(step) :])) for step in steps]
-            gains, all_possible = gains_of(evidence, others, tried)
+            steps = product(
+                *((ratio**-step_share, 1.0, ratio**step_share) if ratio > 1.0 else (1.0,) for ratio in ratios)
+            )
+            candidates = [(name, (*map(mul, form, step), *form[len(step) :])) for step in steps]
+            gains, all_possible = gains_of(evidence, others, candidates)
             best = max(gains, key=lambda tried_form: gains[tried_form], default=form)
             if gains.get(best, -math.inf) <= gains.get(form, -math.inf) + EQUAL_FIT_DIFFERENCE:
                 break
@@ -657,7 +674,7 @@ def refined_form(evidence: Evidence, others: list[Candidate], name: str, form: F
 
 
 def prune(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
-    """Remove members that fail the tests of entry beside the other members, one at a time, the lowest first."""
+    """Return a set without members that fail the tests of entry beside the others, removed one by one, lowest first."""
     while hypothesis:
         evidence.settle(hypothesis)
         normal = evidence.normal()
@@ -681,7 +698,7 @@ def is_supported(evidence: Evidence, hypothesis: Sequence[Candidate], index: int
 
 
 def member(evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], index: int) -> FurtherEffect | None:
-    """Fit one member of a set in addition to the other members."""
+    """Return one member of a set, fitted in addition to the other members."""
     others = [*hypothesis[:index], *hypothesis[index + 1 :]]
     return fit_further_effect(evidence, normal, evidence.stack.columns_of(others), hypothesis[index])
 
@@ -692,38 +709,44 @@ def describe(evidence: Evidence, hypothesis: list[Candidate]) -> EffectSet:
     squares_taken, squares_left = squares_taken_and_left(evidence, hypothesis)
     fit = evidence.settle(hypothesis)
     normal = evidence.normal()
-    members, rivals, moved, missed = [], [], [], dict[Candidate, float]()
+    members, rivals, misfit_changes, squares_missed = [], [], [], dict[Candidate, float]()
     for index in range(len(hypothesis)):
         others = hypothesis[:index] + hypothesis[index + 1 :]
-        moved.append([abs(amount) for amount in reduction_by_rows(normal, normal.fit(others), fit)])
-        item = fit_further_effect(evidence, normal, evidence.stack.columns_of(others), hypothesis[index], whole=True)
+        misfit_changes.append([abs(amount) for amount in reduction_by_rows(normal, normal.fit(others), fit)])
+        item = fit_further_effect(
+            evidence, normal, evidence.stack.columns_of(others), hypothesis[index], at_full_strength=True
+        )
         if item is None:  # at full strength the member is no possible effect
             return describe(evidence, others)
         members.append(item)
-        ranked = best_of_each(evidence, normal, others, whole=True)
+        ranked = best_of_each(evidence, normal, others, at_full_strength=True)
         rivals.append([item, *(r for r in ranked if r.effect != item.effect and is_possible(evidence, r))])
-        close = [r.candidate for r in rivals[-1] if item.gain - r.gain < CLOSE_RIVAL_FACTOR * gain_tolerance(item.gain)]
-        if len(close) > 1:
-            missed |= {rival: missed_by_form(normal, [*others, rival], rival) for rival in close}
+        close_rivals = [
+            r.candidate for r in rivals[-1] if item.gain - r.gain < CLOSE_RIVAL_FACTOR * gain_tolerance(item.gain)
+        ]
+        if len(close_rivals) > 1:
+            squares_missed |= {rival: missed_by_form(normal, [*others, rival], rival) for rival in close_rivals}
     further_effects = best_of_each(evidence, normal, hypothesis)
-    return EffectSet(hypothesis, members, rivals, further_effects, fit, squares_taken, squares_left, moved, missed)
+    return EffectSet(
+        hypothesis, members, rivals, further_effects, fit, squares_taken, squares_left, misfit_changes, squares_missed
+    )
 
 
 def make_whole(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
-    """Bring shaped members and rivals to the form with a strength of one, so that their gains compare."""
+    """Return a set with shaped members and rivals in the form with a strength of one, so that their gains compare."""
     for index in range(len(hypothesis)):
         others = hypothesis[:index] + hypothesis[index + 1 :]
         for _ in range(WHOLE_ROUNDS):
             evidence.settle(hypothesis)
-            best = best_of_each(evidence, evidence.normal(), others)
-            shaped = [item for item in best if library()[item.effect].shaped and item.height > ENTRY_HEIGHT]
+            ranked_by_share = best_of_each(evidence, evidence.normal(), others)
+            shaped = [item for item in ranked_by_share if library()[item.effect].shaped and item.height > ENTRY_HEIGHT]
             whole_forms = [(item.effect, whole_form(item)) for item in shaped]
             evidence.add(whole_forms)
             for candidate in whole_forms:
                 if candidate[0] == hypothesis[index][0]:
                     hypothesis[index] = candidate
         normal = evidence.normal()
-        ranked = [r for r in best_of_each(evidence, normal, others, whole=True) if r.height > ENTRY_HEIGHT]
+        ranked = [r for r in best_of_each(evidence, normal, others, at_full_strength=True) if r.height > ENTRY_HEIGHT]
         if ranked and library()[ranked[0].effect].shaped and library()[hypothesis[index][0]].shaped:
             hypothesis[index] = ranked[0].candidate
     return hypothesis
@@ -736,22 +759,22 @@ def whole_form(item: FurtherEffect) -> tuple[float, ...]:
 
 
 def squares_taken_and_left(
-    evidence: Evidence, hypothesis: Sequence[Candidate], sound: bool = False
+    evidence: Evidence, hypothesis: Sequence[Candidate], sound_noise: bool = False
 ) -> tuple[list[float], list[float]]:
     """Return, by group of rows, the weighted squares that a set with its overtones explains, and those that remain.
 
     Both are weighted by the usual noise; what remains counts beyond `MOST_USUAL_POWER`.
 
-    sound : whether the usual noise is a sound machine's where that is lower.
+    sound_noise : whether the usual noise is a sound machine's where that is lower.
     """
     overtones = overtones_of(hypothesis)
     evidence.add(overtones)
-    evidence.weigh_as_usual(sound)
+    evidence.weigh_as_usual(sound_noise)
     normal = evidence.normal()
     fit_without, fit_with = normal.fit(), normal.fit([*hypothesis, *overtones])
     squares_taken = [max(amount, 0.0) for amount in reduction_by_rows(normal, fit_without, fit_with)]
     squares_left = [
-        max(normal.weights[k] * normal.residual(fit_with, k) ** 2 - MOST_USUAL_POWER, 0.0) * len(rows.left_over)
+        max(normal.weights[k] * normal.residual_rms(fit_with, k) ** 2 - MOST_USUAL_POWER, 0.0) * len(rows.left_over)
         for k, rows in enumerate(normal.stack.rows)
     ]
     return squares_taken, squares_left

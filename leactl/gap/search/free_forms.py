@@ -20,34 +20,38 @@ from leactl.vocabulary.variable import Variable
 Array = npt.NDArray[np.float64]
 KNOTS = 8  # knots of a free function
 FEWEST_VALUES = 4  # a variable with fewer values, such as a direction, shows nothing of a law's form
-SMALLEST_PART = 1e-3  # share of a member's largest part in a run below which a row does not place knots
+LEAST_PART_SHARE = 1e-3  # share of a member's largest part in a run below which a row does not place knots
 TURN = 2.0 * np.pi
-OUTDONE = 2.0  # smallest ratio of what a further effect explains to what free forms explain, each beside the other
+# ratio of what an effect explains to what free forms explain, each beside the other, above which it outdoes them
+OUTDOING_RATIO = 2.0
 
 
 def outdoes_free_forms(normal: Normal, hypothesis: Sequence[Candidate], candidate: Candidate) -> bool:
-    """Return whether a candidate explains `OUTDONE` times as much as the free forms of a set, each beside the other.
+    """Return whether a candidate explains more than the free forms of a set by `OUTDOING_RATIO`, each beside the other.
 
     What either explains is the rise in misfit when it is removed from the fit with both. Free forms count at least as
-    much as noise lets so many coefficients explain. The answer is yes where a set has no free form.
+    much as noise lets so many coefficients explain. True also for a set without a free form.
     """
     if not hypothesis:
         return True
-    wider = [*hypothesis, candidate]
+    set_and_candidate = [*hypothesis, candidate]
     # the parts of the members are those fitted beside the candidate, since only the whole set may be right
-    free, count = with_free_forms(normal, wider, hypothesis)
-    misfit_of_both = free.fit(wider).misfit
-    by_candidate, by_forms = free.fit(hypothesis).misfit - misfit_of_both, normal.fit(wider).misfit - misfit_of_both
-    return count == 0 or by_candidate > OUTDONE * max(by_forms, float(count))
+    free_normal, count = with_free_forms(normal, set_and_candidate, hypothesis)
+    misfit_of_both = free_normal.fit(set_and_candidate).misfit
+    explained_by_candidate, explained_by_forms = (
+        free_normal.fit(hypothesis).misfit - misfit_of_both,
+        normal.fit(set_and_candidate).misfit - misfit_of_both,
+    )
+    return count == 0 or explained_by_candidate > OUTDOING_RATIO * max(explained_by_forms, float(count))
 
 
 def missed_by_form(normal: Normal, hypothesis: Sequence[Candidate], member: Candidate) -> float:
     """Return the weighted squares that free forms of a member explain in addition, beyond noise.
 
-    It is infinite where the member has no free form: the error of its law is then unknown.
+    They are infinite where the member has no free form: the error of its law is then unknown.
     """
-    free, count = with_free_forms(normal, hypothesis, [member])
-    return max(normal.fit(hypothesis).misfit - free.fit(hypothesis).misfit - count, 0.0) if count else math.inf
+    free_normal, count = with_free_forms(normal, hypothesis, [member])
+    return max(normal.fit(hypothesis).misfit - free_normal.fit(hypothesis).misfit - count, 0.0) if count else math.inf
 
 
 def with_free_forms(
@@ -63,15 +67,17 @@ def with_free_forms(
             count += add_free_form(groups, parts, member, variable)
             if variable == "angle":
                 count += add_free_form(groups, parts, member, variable, within_a_turn=True)
-    positions = {name[1]: position for name, position in normal.stack.place.items() if name[0] == "calibration"}
+    positions = {name[1]: position for name, position in normal.stack.position_of.items() if name[0] == "calibration"}
     priors = {parameter: float(normal.stack.priors[position]) for parameter, position in positions.items()}
     return Normal(stack(groups, priors), normal.weights), count
 
 
 def with_effects_alone(rows: Rows, hypothesis: Sequence[Candidate]) -> Rows:
-    """Return rows without the columns of effects outside a set."""
-    wanted = {(effect, repr(form)) for effect, form in hypothesis}
-    columns = {name: column for name, column in rows.columns.items() if name[0] != "effect" or name[1:3] in wanted}
+    """Return rows without the columns of effects outside a set, and without a Gram matrix."""
+    effects_and_forms = {(effect, repr(form)) for effect, form in hypothesis}
+    columns = {
+        name: column for name, column in rows.columns.items() if name[0] != "effect" or name[1:3] in effects_and_forms
+    }
     return replace(rows, columns=columns, gram=None)
 
 
@@ -92,7 +98,7 @@ def add_free_form(
     variable: Variable,
     within_a_turn: bool = False,
 ) -> int:
-    """Add columns to a member: its parts times functions of one variable, as further coefficients.
+    """Add columns to a member, its parts times hat functions of one variable; return the number of its coefficients.
 
     If every run shows the variable, the first hat function is left out, because the hat functions sum to one and their
     products with the member's part to that part itself.
@@ -101,7 +107,7 @@ def add_free_form(
     ----------
     groups : groups of rows that get columns.
     parts : the part of each group that the member explains.
-    within_a_turn : whether an angle is folded into one turn; no column is added where no run turns so far.
+    within_a_turn : whether an angle is folded into one turn; no column is added where no run turns farther than that.
 
     Returns
     -------
@@ -113,39 +119,41 @@ def add_free_form(
         if values is not None and part.any():
             values_by_group[index] = values[rows.index]
     if within_a_turn:
-        turns = any(np.ptp(values) > TURN for values in values_by_group.values())
-        values_by_group = {index: values % TURN for index, values in values_by_group.items()} if turns else {}
+        exceeds_a_turn = any(np.ptp(values) > TURN for values in values_by_group.values())
+        values_by_group = {index: values % TURN for index, values in values_by_group.items()} if exceeds_a_turn else {}
     if not values_by_group:
         return 0
     knots = knots_where([values[acts_in(parts[index])] for index, values in values_by_group.items()])
     if within_a_turn and knots.size and knots[0] + TURN - knots[-1] < 0.5 * TURN / KNOTS:
-        knots = knots[:-1]  # the last knot nearly equals the first, one turn later
+        knots = knots[:-1]  # the last knot nearly coincides with the first, one turn later
     if not knots.size:
         return 0
-    elsewhere = any(part.any() for index, part in enumerate(parts) if index not in values_by_group)
+    acts_elsewhere = any(part.any() for index, part in enumerate(parts) if index not in values_by_group)
     free_over = f"{variable} within a turn" if within_a_turn else variable
-    functions = range(0 if elsewhere else 1, len(knots))
+    hat_indices = range(0 if acts_elsewhere else 1, len(knots))
     for index, values in values_by_group.items():
-        at_knots = hats(values, knots, TURN if within_a_turn else None)
-        for number in functions:
-            name: Column = ("effect", member[0], repr(member[1]), f"free over {free_over} {number}")
-            groups[index].columns[name] = parts[index] * at_knots[:, number]
-    return len(functions)
+        hat_values = hats(values, knots, TURN if within_a_turn else None)
+        for hat_index in hat_indices:
+            name: Column = ("effect", member[0], repr(member[1]), f"free over {free_over} {hat_index}")
+            groups[index].columns[name] = parts[index] * hat_values[:, hat_index]
+    return len(hat_indices)
 
 
 def acts_in(part: Array) -> npt.NDArray[np.bool_]:
     """Return the rows in which a member's part is not negligible."""
-    return np.asarray(np.abs(part) > SMALLEST_PART * np.abs(part).max(), np.bool_)
+    return np.asarray(np.abs(part) > LEAST_PART_SHARE * np.abs(part).max(), np.bool_)
 
 
-def knots_where(runs: Sequence[Array]) -> Array:
-    """Return the knots of a free function of a variable from its values in each run; empty if these are few.
+def knots_where(values_of_runs: Sequence[Array]) -> Array:
+    """Return the knots of a free function of a variable; empty for fewer than `FEWEST_VALUES` distinct values.
 
     The knots are quantiles of the distinct values.
+
+    values_of_runs : values of the variable in each run.
     """
-    values = np.unique(np.concatenate(runs))
-    if len(values) < FEWEST_VALUES:
+    levels = np.unique(np.concatenate(values_of_runs))
+    if len(levels) < FEWEST_VALUES:
         return np.empty(0)
-    if len(values) <= KNOTS:
-        return values
-    return np.quantile(values, np.linspace(0.0, 1.0, KNOTS))
+    if len(levels) <= KNOTS:
+        return levels
+    return np.quantile(levels, np.linspace(0.0, 1.0, KNOTS))

@@ -38,7 +38,7 @@ MODEL_ERROR = {
 """Relative error of a parameter from the discretised equations, in addition to noise."""
 LEAST_RATIO = 0.05  # of fitted to nominal value; its reciprocal is the largest ratio of a reciprocal parameter
 LEAST_MODEL_ERROR = 5e-5  # relative error of a parameter that `MODEL_ERROR` does not name
-UNSHOWN_STEP = 0.01  # step of the derivative along a change whose variance is infinite
+UNSHOWN_STEP = 0.01  # step of the derivative along a change that no run shows: its variance gives no step
 UNITS = {
     "phase_resistance": "ohm",
     "phase_inductance": "H",
@@ -61,10 +61,11 @@ UNITS = {
     "thermal.winding_capacitance": "J/K",
     "thermal.housing_capacitance": "J/K",
 }
+"""Units of the nominal model's parameters."""
 
 
 def calibrated_parameters(evidence: Evidence, fit: Fit) -> tuple[CalibratedParameter, ...]:
-    """Return the calibrated parameters of the nominal model under a fit."""
+    """Return the calibrated parameters of the nominal model under a fit; one that no run determines stays nominal."""
     parameters = []
     normal = evidence.normal()
     for index, column in enumerate(fit.columns):
@@ -95,16 +96,22 @@ def calibrated_parameters(evidence: Evidence, fit: Fit) -> tuple[CalibratedParam
         units = UNITS.get(parameter, "")
         parameters.append(CalibratedParameter(parameter, nominal, nominal * factor, nominal * std * slope, units))
         if parameter == "torque_constant" and evidence.model.back_emf_constant is not None:
-            constant = evidence.model.back_emf_constant
-            back_emf = "back_emf_constant"
+            nominal_emf_constant = evidence.model.back_emf_constant
+            emf_parameter = "back_emf_constant"
             parameters.append(
-                CalibratedParameter(back_emf, constant, constant * factor, constant * std, UNITS[back_emf])
+                CalibratedParameter(
+                    emf_parameter,
+                    nominal_emf_constant,
+                    nominal_emf_constant * factor,
+                    nominal_emf_constant * std,
+                    UNITS[emf_parameter],
+                )
             )
     return tuple(parameters)
 
 
 def factor_of(parameter: str, change: float) -> float:
-    """Return the factor on a parameter for a fitted relative change."""
+    """Return the factor on a parameter for a fitted change, by which the reciprocal of a reciprocal parameter falls."""
     return (
         1.0 / max(1.0 - change, LEAST_RATIO) if parameter in RECIPROCAL_PARAMETERS else max(1.0 + change, LEAST_RATIO)
     )
@@ -168,7 +175,7 @@ def with_effects(model: Model, effects: Sequence[tuple[str, Mapping[str, float]]
 
 
 def fitted_over_nominal(evidence: Evidence, fit: Fit, candidate: Candidate) -> float:
-    """Return the ratio of fitted to nominal value of the parameters that an effect is a share of, as friction.
+    """Return the ratio of fitted to nominal value of the parameters that an effect is a share of, such as friction.
 
     Only rows that show the effect count. Each of several parameters is weighted by the product of its column with the
     sum of all their columns.
@@ -176,24 +183,24 @@ def fitted_over_nominal(evidence: Evidence, fit: Fit, candidate: Candidate) -> f
     stack, parameters = evidence.stack, library()[candidate[0]].relative_to
     effect_columns = evidence.columns(candidate)
     changes = {column: float(value) for column, value in zip(fit.columns.tolist(), fit.values, strict=True)}
-    base_columns = [stack.place[name] for p in parameters if (name := ("calibration", p)) in stack.place]
+    base_columns = [stack.position_of[name] for p in parameters if (name := ("calibration", p)) in stack.position_of]
     nominal = fitted = 0.0
     for gram, local, weight in zip(stack.grams, stack.local, evidence.weights, strict=True):
-        local_bases = [column for column in base_columns if column in local]
-        if not local_bases or not np.isin(effect_columns, local).any():
+        local_base_columns = [column for column in base_columns if column in local]
+        if not local_base_columns or not np.isin(effect_columns, local).any():
             continue
-        positions = [1 + int(np.flatnonzero(local == column)[0]) for column in local_bases]
+        positions = [1 + int(np.flatnonzero(local == column)[0]) for column in local_base_columns]
         power = weight * gram[np.ix_(positions, positions)].sum(axis=1)
         nominal += float(power.sum())
-        fitted += float(power @ [1.0 + changes.get(column, 0.0) for column in local_bases])
+        fitted += float(power @ [1.0 + changes.get(column, 0.0) for column in local_base_columns])
     return fitted / nominal if nominal > 0.0 and fitted > 0.0 else 1.0
 
 
 def next_linearisation(evidence: Evidence, fit: Fit, candidate: Candidate) -> Candidate:
     """Return a fitted effect in the form about which its columns are linearised next."""
     name, form = candidate
-    values = dict(zip(fit.columns.tolist(), fit.values.tolist(), strict=True))
-    coefficients = {evidence.coefficient(column): values[column] for column in evidence.columns(candidate)}
+    value_of_column = dict(zip(fit.columns.tolist(), fit.values.tolist(), strict=True))
+    coefficients = {evidence.coefficient(column): value_of_column[column] for column in evidence.columns(candidate)}
     return name, library()[name].about(form, coefficients)
 
 
@@ -205,17 +212,17 @@ def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tup
     frequency, are taken as independent; a disagreement of runs beyond their noise widens both.
     """
     name, form = candidate
-    positions = [int(np.flatnonzero(fit.columns == position)[0]) for position in evidence.columns(candidate)]
-    names = [evidence.coefficient(position) for position in evidence.columns(candidate)]
+    positions = [int(np.flatnonzero(fit.columns == column)[0]) for column in evidence.columns(candidate)]
+    names = [evidence.coefficient(column) for column in evidence.columns(candidate)]
     normal = evidence.normal()
     widening = max((disagreement(normal, fit, position) for position in positions), default=1.0) ** 2
-    values, spread = fit.values[positions], widening * fit.covariance[np.ix_(positions, positions)]
+    values, covariance = fit.values[positions], widening * fit.covariance[np.ix_(positions, positions)]
     effect, model = library()[name], evidence.model
-    size = effect.size(form, dict(zip(names, values.tolist(), strict=True)), model)
-    if size > 0.0:
-        spread = spread + (evidence.floor(candidate) / size) ** 2 * np.outer(values, values)
-    fitted = fitted_over_nominal(evidence, fit, candidate)
-    values, spread = values / fitted, spread / fitted**2
+    size_in_fit = effect.size(form, dict(zip(names, values.tolist(), strict=True)), model)
+    if size_in_fit > 0.0:
+        covariance = covariance + (evidence.floor(candidate) / size_in_fit) ** 2 * np.outer(values, values)
+    fitted_ratio = fitted_over_nominal(evidence, fit, candidate)
+    values, covariance = values / fitted_ratio, covariance / fitted_ratio**2
 
     def with_form(numbers: Sequence[float], coefficients: Array) -> dict[str, float]:
         return effect.parameters(tuple(numbers), dict(zip(names, coefficients.tolist(), strict=True)), model)
@@ -224,11 +231,11 @@ def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tup
         return with_form([*(form[: len(logs)] * np.exp(logs)), *form[len(logs) :]], values)
 
     parameters, units = with_form(form, values), effect_definition(name).parameters
-    variances = propagated_variances(parameters, lambda change: with_form(form, values + change), spread)
-    refined = evidence.form_spread.get(candidate)
-    if refined is not None:
-        form_covariance = widening * refined
-        # an error of this size means that no run shows the number
+    variances = propagated_variances(parameters, lambda change: with_form(form, values + change), covariance)
+    covariance_of_logs = evidence.form_spread.get(candidate)
+    if covariance_of_logs is not None:
+        form_covariance = widening * covariance_of_logs
+        # a standard error of this size, a factor of 20, means that no run shows the number
         undetermined = np.diag(form_covariance) > math.log(LEAST_RATIO) ** 2
         form_covariance[undetermined, undetermined] = math.inf
         form_variances = propagated_variances(parameters, with_logs, form_covariance)
@@ -256,26 +263,26 @@ def propagated_variances(
     covariance : covariance of the changes.
     """
     steps = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    shown = np.isfinite(covariance).all(axis=1)
+    is_finite = np.isfinite(covariance).all(axis=1)
     slopes = {key: np.zeros(len(covariance)) for key in parameters}
-    for k, step in enumerate(np.where(shown, steps, UNSHOWN_STEP)):
+    for k, step in enumerate(np.where(is_finite, steps, UNSHOWN_STEP)):
         if step > 0.0:
-            moved = parameters_after(step * np.eye(len(covariance))[k])
+            changed = parameters_after(step * np.eye(len(covariance))[k])
             for key in parameters:
-                slopes[key][k] = (moved[key] - parameters[key]) / step
-    finite = covariance[np.ix_(shown, shown)]
+                slopes[key][k] = (changed[key] - parameters[key]) / step
+    finite_covariance = covariance[np.ix_(is_finite, is_finite)]
     return {
         key: math.inf
-        if slope[~shown].any() or not np.isfinite(slope).all()
-        else max(float(slope[shown] @ finite @ slope[shown]), 0.0)
+        if slope[~is_finite].any() or not np.isfinite(slope).all()
+        else max(float(slope[is_finite] @ finite_covariance @ slope[is_finite]), 0.0)
         for key, slope in slopes.items()
     }
 
 
 def stamp_delay_std(evidence: Evidence, candidate: Candidate) -> float:
-    """Return the standard deviation [s] that stamps of unknown meaning add to an effect's delay; zero for known stamps.
+    """Return the standard deviation [s] that stamps of unknown meaning add to an effect's delay.
 
-    Stamps and a delay of the machine cannot be separated; a delay below what stamps may add is not named.
+    It is zero unless the effect acts in an overdue equation: only a delay beyond what stamps explain is named.
     """
     effect, form = candidate
     errors = [

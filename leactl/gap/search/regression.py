@@ -35,13 +35,13 @@ class Rows:
     quantity: str
     role: str
     units: str
-    left_over: Array
+    left_over: Array  # residual of the nominal model, one value for each row
     columns: dict[Column, Array]
     priors: dict[Column, float]
     index: npt.NDArray[np.intp]  # sample of the signals that each row is centred on
     block: npt.NDArray[np.intp]  # stretch of the run that each row lies in
     signals: Signals
-    white: float  # noise from row to row, by differences of neighbours
+    white: float  # standard deviation of the noise from row to row, by differences of neighbours
     noise: float = 0.0  # standard deviation of a row
     dependence: float = 1.0  # rows per independent row
     levels: float = math.inf  # number of levels of a rounded channel
@@ -53,7 +53,7 @@ class Rows:
 
 
 def make_rows(run: str, kind: str, equations: Sequence[Equation], candidates: Sequence[Candidate]) -> list[Rows | None]:
-    """Smooth, thin and mask the equations of one run and their columns; None for an equation with too few rows."""
+    """Return the rows of each equation of one run, smoothed, thinned and masked; None where they are too few."""
     return [
         rows_of(run, kind, equation, columns)
         for equation, columns in zip(equations, effect_columns(equations, candidates), strict=True)
@@ -69,25 +69,26 @@ def rows_of(run: str, kind: str, equation: Equation, effects: dict[Column, Array
     if int(mask.sum()) < FEWEST_ROWS:
         return None
     names: list[Column] = []
-    raw: list[Array] = [equation.left_over]
+    unsmoothed_columns: list[Array] = [equation.left_over]
     priors: dict[Column, float] = {}
     for name, column in equation.calibration.items():
         names.append(("calibration", name))
-        raw.append(column)
+        unsmoothed_columns.append(column)
     for name, (column, prior) in equation.nuisance.items():
         names.append(("nuisance", run, name))
         priors[names[-1]] = prior
-        raw.append(column)
+        unsmoothed_columns.append(column)
     for name, (column, prior) in equation.shared.items():
         names.append(("nuisance", "", name))
         priors[names[-1]] = prior
-        raw.append(column)
-    table = smoothed_and_thinned(np.stack(raw, axis=1), equation.width, equation.step)[mask]
+        unsmoothed_columns.append(column)
+    table = smoothed_and_thinned(np.stack(unsmoothed_columns, axis=1), equation.width, equation.step)[mask]
     index = thinned_rows(len(equation.left_over), equation.width, equation.step)[mask]
     left_over = np.ascontiguousarray(table[:, 0])
     columns = {name: table[:, k + 1] for k, name in enumerate(names)} | effects
     interval = equation.signals.interval
-    length = max(1.0, 40.0 * equation.step * interval)
+    # s: a block has 40 rows or more, and lasts a second or more
+    block_duration = max(1.0, 40.0 * equation.step * interval)
     return Rows(
         run,
         equation.kind or kind,
@@ -100,7 +101,7 @@ def rows_of(run: str, kind: str, equation: Equation, effects: dict[Column, Array
         columns,
         priors,
         index,
-        (index * interval / length).astype(np.intp),
+        (index * interval / block_duration).astype(np.intp),
         equation.signals,
         max(white_noise(left_over), equation.rounding),
         levels=equation.levels,
@@ -133,8 +134,8 @@ def effect_columns(equations: Sequence[Equation], candidates: Sequence[Candidate
                 for k in (k for k in with_rows if id(equations[k].signals) == clock):
                     equation, mask = equations[k], masks[k]
                     for coefficient, column in effect_contributions(equation, terms).items():
-                        rows = smoothed_and_thinned(column[:, None], equation.width, equation.step)[mask, 0]
-                        by_equation[k]["effect", effect, repr(form), coefficient] = rows
+                        column_of_rows = smoothed_and_thinned(column[:, None], equation.width, equation.step)[mask, 0]
+                        by_equation[k]["effect", effect, repr(form), coefficient] = column_of_rows
     return by_equation
 
 
@@ -152,24 +153,25 @@ def effect_contributions(equation: Equation, terms: Terms) -> dict[str, Array]:
     return by_coefficient
 
 
-def add_columns(rows: Rows, fresh: dict[Column, Array]) -> None:
-    """Add columns of further forms of effects to existing rows, and update their Gram matrix."""
-    if not fresh:
+def add_columns(rows: Rows, further_columns: dict[Column, Array]) -> None:
+    """Add columns of further forms of effects to rows, and extend their Gram matrix."""
+    if not further_columns:
         return
-    present = np.column_stack([rows.left_over, *rows.columns.values()])
-    rows.columns.update(fresh)
+    present_table = np.column_stack([rows.left_over, *rows.columns.values()])
+    rows.columns.update(further_columns)
     if rows.gram is not None:
-        table = np.column_stack(list(fresh.values()))
-        cross = present.T @ table
-        rows.gram = np.block([[rows.gram, cross], [cross.T, table.T @ table]])
+        further_table = np.column_stack(list(further_columns.values()))
+        cross_gram = present_table.T @ further_table
+        rows.gram = np.block([[rows.gram, cross_gram], [cross_gram.T, further_table.T @ further_table]])
 
 
 def white_noise(values: Array) -> float:
     """Return the robust standard deviation of the noise from row to row; coarse steps count as noise."""
     if len(values) < 3:
         return float(np.std(values))
-    change = np.abs(np.diff(values)) / np.sqrt(2.0)
-    return float(max(np.median(change) / 0.6745, 0.2 * np.sqrt(np.mean(change**2)), 1e-12))
+    differences = np.abs(np.diff(values)) / np.sqrt(2.0)
+    # the median of |x| is 0.6745 for unit normal x
+    return float(max(np.median(differences) / 0.6745, 0.2 * np.sqrt(np.mean(differences**2)), 1e-12))
 
 
 @dataclass
@@ -180,46 +182,48 @@ class Stack:
     names: list[Column]
     grams: list[Array]  # by group of rows: over [left_over, its columns], unweighted
     local: list[npt.NDArray[np.intp]]  # by group of rows: positions of its columns in the names
-    priors: Array  # standard deviation of each column's coefficient, inf for none
-    place: dict[Column, int] = field(default_factory=dict)
+    priors: Array  # standard deviation of each column's coefficient; infinite without a prior
+    position_of: dict[Column, int] = field(default_factory=dict)
 
     def columns_of(self, hypothesis: Sequence[Candidate]) -> npt.NDArray[np.intp]:
-        """Return the positions of calibration, nuisances and the columns of a hypothesis."""
-        wanted = {(effect, repr(form)) for effect, form in hypothesis}
-        keep = [k for k, n in enumerate(self.names) if n[0] != "effect" or (n[1], n[2]) in wanted]
-        return np.asarray(keep, np.intp)
+        """Return the positions of all columns but those of effects outside a hypothesis."""
+        effects_and_forms = {(effect, repr(form)) for effect, form in hypothesis}
+        positions = [
+            k for k, name in enumerate(self.names) if name[0] != "effect" or (name[1], name[2]) in effects_and_forms
+        ]
+        return np.asarray(positions, np.intp)
 
 
 def stack(rows: list[Rows], calibration_priors: dict[str, float]) -> Stack:
-    """Stack groups of rows; compute the Gram matrices that are missing."""
+    """Return groups of rows as one stack, and compute the Gram matrices that they lack."""
     order = {"calibration": 0, "nuisance": 1, "effect": 2}
-    names = sorted({name for r in rows for name in r.columns}, key=lambda n: (order[n[0]], n[1:]))
-    place = {name: k for k, name in enumerate(names)}
+    names = sorted({name for group in rows for name in group.columns}, key=lambda name: (order[name[0]], name[1:]))
+    position_of = {name: k for k, name in enumerate(names)}
     priors = np.full(len(names), np.inf)
-    for r in rows:
-        for name, prior in r.priors.items():
-            priors[place[name]] = prior
+    for group in rows:
+        for name, prior in group.priors.items():
+            priors[position_of[name]] = prior
     for parameter, prior in calibration_priors.items():
-        if ("calibration", parameter) in place:
-            priors[place["calibration", parameter]] = prior
+        if ("calibration", parameter) in position_of:
+            priors[position_of["calibration", parameter]] = prior
     grams, local = [], []
-    for r in rows:
-        names_of_rows = list(r.columns)
-        if r.gram is None:
-            table = np.column_stack([r.left_over, *(r.columns[n] for n in names_of_rows)])
-            r.gram = table.T @ table
-        grams.append(r.gram)
-        local.append(np.asarray([place[n] for n in names_of_rows], np.intp))
-    return Stack(rows, names, grams, local, priors, place)
+    for group in rows:
+        names_of_group = list(group.columns)
+        if group.gram is None:
+            table = np.column_stack([group.left_over, *(group.columns[name] for name in names_of_group)])
+            group.gram = table.T @ table
+        grams.append(group.gram)
+        local.append(np.asarray([position_of[name] for name in names_of_group], np.intp))
+    return Stack(rows, names, grams, local, priors, position_of)
 
 
 @dataclass
 class Fit:
     """Coefficients of one hypothesis."""
 
-    columns: npt.NDArray[np.intp]
-    values: Array
-    covariance: Array
+    columns: npt.NDArray[np.intp]  # positions in the stack of the columns that are fitted
+    values: Array  # coefficient of each of these columns
+    covariance: Array  # of the coefficients
     misfit: float  # weighted squared residuals, priors included
 
 
@@ -237,37 +241,37 @@ class Normal:
         self.gram[np.diag_indices(size)] += 1.0 / stacked.priors**2
 
     def fit(self, hypothesis: Sequence[Candidate] = ()) -> Fit:
-        """Fit one hypothesis."""
+        """Return the fit of one hypothesis; without effects, of calibration and nuisances alone."""
         return self.solve(self.stack.columns_of(hypothesis))
 
-    def solve(self, keep: npt.NDArray[np.intp]) -> Fit:
-        """Fit given columns."""
-        gram, right = self.gram[np.ix_(keep, keep)], self.right[keep]
+    def solve(self, columns: npt.NDArray[np.intp]) -> Fit:
+        """Return the fit of the columns at some positions of the stack."""
+        gram, right = self.gram[np.ix_(columns, columns)], self.right[columns]
         scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
         scaled = gram / np.outer(scale, scale)
-        scaled[np.diag_indices(len(keep))] += 1e-10
+        scaled[np.diag_indices(len(columns))] += 1e-10  # equal columns would make the matrix singular
         inverse = np.linalg.inv(scaled)
         values = inverse @ (right / scale) / scale
         with np.errstate(over="ignore"):  # a parameter without a prior that no run shows has an infinite variance
             covariance = inverse / np.outer(scale, scale)
-        return Fit(keep, values, covariance, self.total - float(values @ right))
+        return Fit(columns, values, covariance, self.total - float(values @ right))
 
-    def residual(self, fit: Fit, index: int) -> float:
+    def residual_rms(self, fit: Fit, index: int) -> float:
         """Return the root mean square residual of one group of rows under a fit."""
         gram, local = self.stack.grams[index], self.stack.local[index]
-        full = np.zeros(len(self.stack.names))
-        full[fit.columns] = fit.values
-        combination = np.concatenate([[1.0], -full[local]])
+        coefficients = np.zeros(len(self.stack.names))
+        coefficients[fit.columns] = fit.values
+        combination = np.concatenate([[1.0], -coefficients[local]])
         return float(np.sqrt(max(combination @ gram @ combination, 0.0) / len(self.stack.rows[index].left_over)))
 
 
 def residuals(stacked: Stack, fit: Fit, index: int) -> Array:
     """Return the residual of each row of one group under a fit."""
-    full = dict(zip((stacked.names[k] for k in fit.columns), fit.values, strict=True))
-    r = stacked.rows[index]
-    residual = r.left_over.copy()
-    for name, column in r.columns.items():
-        value = full.get(name)
+    coefficients = dict(zip((stacked.names[k] for k in fit.columns), fit.values, strict=True))
+    group = stacked.rows[index]
+    residual = group.left_over.copy()
+    for name, column in group.columns.items():
+        value = coefficients.get(name)
         if value is not None:
             residual -= value * column
     return residual
@@ -276,44 +280,48 @@ def residuals(stacked: Stack, fit: Fit, index: int) -> Array:
 def disagreement(normal: Normal, fit: Fit, index: int) -> float:
     """Return the factor by which runs and equations disagree about one coefficient beyond their noise, at least 1.
 
-    Each has its own optimum along the direction in which the other coefficients follow that one. The root of their
-    chi-square over its degrees of freedom widens the standard error (Birge, 1932).
+    Each group of rows has its own optimum along the direction in which the other coefficients follow that one. The root
+    of their chi-square over its degrees of freedom widens the standard error (Birge, 1932).
+
+    index : position of the coefficient in the fit.
     """
     variance = fit.covariance[index, index]
     if not np.isfinite(variance):  # no run shows the coefficient
         return 1.0
     direction = np.zeros(len(normal.stack.names))
     direction[fit.columns] = fit.covariance[:, index] / variance
-    full = np.zeros(len(normal.stack.names))
-    full[fit.columns] = fit.values
+    coefficients = np.zeros(len(normal.stack.names))
+    coefficients[fit.columns] = fit.values
     scores, informations = [], []
     for gram, local, weight in zip(normal.stack.grams, normal.stack.local, normal.weights, strict=True):
         local_direction = direction[local]
-        scores.append(weight * float(local_direction @ (gram[1:, 0] - gram[1:, 1:] @ full[local])))
+        scores.append(weight * float(local_direction @ (gram[1:, 0] - gram[1:, 1:] @ coefficients[local])))
         # rounding may make zero negative
         informations.append(max(weight * float(local_direction @ gram[1:, 1:] @ local_direction), 0.0))
     information = np.asarray(informations)
     informative = information > LEAST_INFORMATION_SHARE * information.sum()
-    freedom = int(informative.sum()) - 1
-    if freedom < 1:
+    degrees_of_freedom = int(informative.sum()) - 1
+    if degrees_of_freedom < 1:
         return 1.0
-    squares = float(np.sum(np.asarray(scores)[informative] ** 2 / information[informative]))
-    return float(np.sqrt(max(squares / freedom, 1.0)))
+    chi_square = float(np.sum(np.asarray(scores)[informative] ** 2 / information[informative]))
+    return float(np.sqrt(max(chi_square / degrees_of_freedom, 1.0)))
 
 
 def gain_of(normal: Normal, base: npt.NDArray[np.intp], added: npt.NDArray[np.intp]) -> tuple[float, Array, Array]:
-    """Return how far added columns lower the misfit of a base, with coefficients and covariance (Frisch-Waugh)."""
+    """Return by how much added columns lower a base's misfit, their coefficients, and the covariance (Frisch-Waugh)."""
     base_gram = normal.gram[np.ix_(base, base)]
     cross_gram = normal.gram[np.ix_(base, added)]
     added_gram = normal.gram[np.ix_(added, added)]
-    base_scale, scale = (np.sqrt(np.maximum(np.diag(gram), LEAST_POWER)) for gram in (base_gram, added_gram))
-    ridged = base_gram / np.outer(base_scale, base_scale) + 1e-12 * np.eye(len(base))
-    solved = (
-        np.linalg.solve(ridged, np.column_stack([cross_gram, normal.right[base]]) / base_scale[:, None])
+    base_scale, added_scale = (np.sqrt(np.maximum(np.diag(gram), LEAST_POWER)) for gram in (base_gram, added_gram))
+    base_correlation = base_gram / np.outer(base_scale, base_scale) + 1e-12 * np.eye(len(base))
+    base_coefficients = (
+        np.linalg.solve(base_correlation, np.column_stack([cross_gram, normal.right[base]]) / base_scale[:, None])
         / base_scale[:, None]
     )
-    right = normal.right[added] - cross_gram.T @ solved[:, -1]
-    schur = (added_gram - cross_gram.T @ solved[:, :-1]) / np.outer(scale, scale) + 1e-9 * np.eye(len(added))
-    covariance = np.linalg.inv(schur) / np.outer(scale, scale)
+    right = normal.right[added] - cross_gram.T @ base_coefficients[:, -1]
+    schur = (added_gram - cross_gram.T @ base_coefficients[:, :-1]) / np.outer(
+        added_scale, added_scale
+    ) + 1e-9 * np.eye(len(added))
+    covariance = np.linalg.inv(schur) / np.outer(added_scale, added_scale)
     values = covariance @ right
     return float(right @ values), values, np.asarray(covariance, np.float64)

@@ -1,8 +1,8 @@
 """Find ringing: lines in the spectrum of the residuals that noise and a sound model do not have.
 
 A swinging part of the bench, an oscillating loop or hum has little power, so that sums of squares hardly show it, but
-has it at one frequency. Spectra of all runs are averaged (Welch, 1967) and each bin is compared with its neighbours.
-That needs no reference: smoothing and slow model errors bend a spectrum but make no line.
+its power lies at one frequency. Spectra of all runs are averaged (Welch, 1967), and each bin is compared with its
+neighbours. That needs no reference: smoothing and slow model errors bend a spectrum but make no line.
 """
 
 import math
@@ -27,8 +27,8 @@ CHANCE_STDS = 3.0  # standard deviations of a mean spectrum that chance may add
 FOLLOWED_LAGS = 3  # samples on either side over which a command determines a current, or a motion its velocity
 LEAP_RATIO = 6.0  # bend of a leap over a moving command's usual bend
 LEAP_REACH = 7  # samples on either side of a leap that are left out
-MOST_STILL_BEND = 1e-6  # share of a command's largest bend up to which the command is constant
-MOST_EVEN_UNREST = 10.0  # largest usual unrest with which the spectrum is even enough to show a line
+MOST_STILL_BEND = 1e-6  # share of a command's largest bend up to which the command counts as straight
+MOST_EVEN_UNREST = 10.0  # largest unrest of a sound machine with which the spectrum is even enough to show a line
 
 
 @dataclass(frozen=True)
@@ -56,11 +56,13 @@ def highest_lines(evidence: Evidence, fit: Fit, searched: Sequence[bool]) -> dic
         residual = without_followed_part(rows, residuals(evidence.stack, fit, index)) / rows.white
         step = int(np.min(np.diff(rows.index)))
         grid_index = (rows.index - rows.index[0]) // step
-        on_grid = np.full(grid_index[-1] + 1, np.nan)
-        on_grid[grid_index] = np.where(steady_rows(rows, grid_index) | rows_below_one_count(rows), np.nan, residual)
+        values_on_grid = np.full(grid_index[-1] + 1, np.nan)
+        values_on_grid[grid_index] = np.where(
+            steady_rows(rows, grid_index) | rows_below_one_count(rows), np.nan, residual
+        )
         key = (rows.equation, rows.quantity, rows.mechanical)
         rates[key] = 1.0 / (step * rows.signals.interval)
-        spectra.setdefault(key, []).extend(periodograms(on_grid))
+        spectra.setdefault(key, []).extend(periodograms(values_on_grid))
     lines = {}
     for key, spectrum in spectra.items():
         if len(spectrum) >= FEWEST_SEGMENTS:
@@ -70,17 +72,17 @@ def highest_lines(evidence: Evidence, fit: Fit, searched: Sequence[bool]) -> dic
 
 
 def steady_rows(rows: Rows, grid_index: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-    """Return the rows around which the speed is constant: encoder counts make lines there."""
+    """Return the mask of the rows around which the speed is constant: encoder counts make lines there."""
     if rows.signals.velocity is None:
         return np.zeros(len(grid_index), bool)
     speed = rows.signals.velocity[rows.index]
-    reach = SEGMENT // 4
-    begin, end = (np.searchsorted(grid_index, grid_index + side * reach) for side in (-1, 1))
+    half_window = SEGMENT // 4
+    begin, end = (np.searchsorted(grid_index, grid_index + side * half_window) for side in (-1, 1))
     count = np.maximum(end - begin, 1)
-    sums, squares = (np.concatenate([[0.0], np.cumsum(part)]) for part in (speed, speed**2))
+    sums, squares = (np.concatenate([[0.0], np.cumsum(series)]) for series in (speed, speed**2))
     mean = (sums[end] - sums[begin]) / count
-    spread = np.sqrt(np.maximum((squares[end] - squares[begin]) / count - mean**2, 0.0))
-    return np.asarray(spread < MOST_STEADY_VARIATION * np.abs(mean), np.bool_)
+    std = np.sqrt(np.maximum((squares[end] - squares[begin]) / count - mean**2, 0.0))
+    return np.asarray(std < MOST_STEADY_VARIATION * np.abs(mean), np.bool_)
 
 
 def without_followed_part(rows: Rows, residual: Array) -> Array:
@@ -89,29 +91,32 @@ def without_followed_part(rows: Rows, residual: Array) -> Array:
     The input is the model's current, or the speed of the angle: a slightly wrong loop, filter or stamp leaves its
     spectral lines in the residual. Rows around leaps of the command become NaN. Other equations keep their residual.
     """
-    followed = {"current": rows.signals.following, "velocity": rows.signals.velocity}.get(rows.equation)
-    if followed is None:
+    filter_input = {"current": rows.signals.following, "velocity": rows.signals.velocity}.get(rows.equation)
+    if filter_input is None:
         return residual
-    kept = np.ones(len(residual), np.bool_)
+    is_far_from_leap = np.ones(len(residual), np.bool_)
     if rows.equation == "current":
-        bend = np.zeros(len(followed))
-        bend[1:-1] = np.abs(np.diff(followed, 2))
-        moving = bend[bend > MOST_STILL_BEND * np.max(bend, initial=0.0)]
+        bends = np.zeros(len(filter_input))
+        bends[1:-1] = np.abs(np.diff(filter_input, 2))
+        moving_bends = bends[bends > MOST_STILL_BEND * np.max(bends, initial=0.0)]
         leaps = (
-            maximum_filter1d(bend > LEAP_RATIO * np.median(moving), 2 * LEAP_REACH + 1) if len(moving) else bend > 0.0
+            maximum_filter1d(bends > LEAP_RATIO * np.median(moving_bends), 2 * LEAP_REACH + 1)
+            if len(moving_bends)
+            else bends > 0.0
         )
-        kept = ~leaps[rows.index]
+        is_far_from_leap = ~leaps[rows.index]
     lags = [
-        followed[np.clip(rows.index + lag, 0, len(followed) - 1)] for lag in range(-FOLLOWED_LAGS, FOLLOWED_LAGS + 1)
+        filter_input[np.clip(rows.index + lag, 0, len(filter_input) - 1)]
+        for lag in range(-FOLLOWED_LAGS, FOLLOWED_LAGS + 1)
     ]
     table = np.stack(lags, axis=1)
-    usable = kept & np.isfinite(table).all(axis=1) & np.isfinite(residual)
-    weights = np.linalg.lstsq(table[usable], residual[usable], rcond=None)[0]
-    return np.where(usable, residual - table @ weights, np.nan)
+    is_usable = is_far_from_leap & np.isfinite(table).all(axis=1) & np.isfinite(residual)
+    weights = np.linalg.lstsq(table[is_usable], residual[is_usable], rcond=None)[0]
+    return np.where(is_usable, residual - table @ weights, np.nan)
 
 
 def rows_below_one_count(rows: Rows) -> npt.NDArray[np.bool_]:
-    """Return the rows of a velocity equation in which the shaft moves by less than one encoder count a sample."""
+    """Return the mask of the rows of a velocity equation where the shaft moves by less than one count in a sample."""
     signals = rows.signals
     if signals.velocity is None or rows.quantity != "velocity":
         return np.zeros(len(rows.index), bool)
@@ -122,11 +127,11 @@ def periodograms(values: Array) -> list[Array]:
     """Return the power of half-overlapping segments under a Hann window; missing values (NaN) count as zero."""
     window, powers = np.hanning(SEGMENT), []
     for start in range(0, len(values) - SEGMENT + 1, SEGMENT // 2):
-        part = values[start : start + SEGMENT]
-        finite = np.isfinite(part)
-        if finite.mean() >= LEAST_VALID_SHARE:
-            power = np.abs(np.fft.rfft(np.where(finite, part, 0.0) * window)) ** 2
-            powers.append(power / np.sum((window * finite) ** 2))
+        segment = values[start : start + SEGMENT]
+        is_finite = np.isfinite(segment)
+        if is_finite.mean() >= LEAST_VALID_SHARE:
+            power = np.abs(np.fft.rfft(np.where(is_finite, segment, 0.0) * window)) ** 2
+            powers.append(power / np.sum((window * is_finite) ** 2))
     return powers
 
 
@@ -135,11 +140,11 @@ def highest_line(spectra: Sequence[Array]) -> tuple[int, float]:
 
     Each periodogram is divided by its median power: else a loud run of few segments would dominate.
     """
-    relative_powers = [power / level for power in spectra if (level := float(np.median(power))) > 0.0]
-    if not relative_powers:
+    relative_spectra = [power / level for power in spectra if (level := float(np.median(power))) > 0.0]
+    if not relative_spectra:
         return 0, 0.0
-    bin_index, ratio = highest_bin(np.mean(relative_powers, axis=0))
-    return bin_index, ratio * (1.0 - CHANCE_STDS / math.sqrt(len(relative_powers)))
+    bin_index, ratio = highest_bin(np.mean(relative_spectra, axis=0))
+    return bin_index, ratio * (1.0 - CHANCE_STDS / math.sqrt(len(relative_spectra)))
 
 
 def highest_bin(power: Array) -> tuple[int, float]:
@@ -153,6 +158,8 @@ def highest_bin(power: Array) -> tuple[int, float]:
             power[max(1, bin_index - NEIGHBOUR_BINS) : bin_index - 1],
             power[bin_index + 2 : bin_index + NEIGHBOUR_BINS + 1],
         )
-        around = max(float(np.median(below)), float(np.median(above)))
-        ratios[bin_index] = power[bin_index] / around if around > 0.0 else 0.0  # quiet neighbours tell no noise
+        neighbour_power = max(float(np.median(below)), float(np.median(above)))
+        ratios[bin_index] = (
+            power[bin_index] / neighbour_power if neighbour_power > 0.0 else 0.0
+        )  # neighbours without power give no noise to compare with
     return int(np.argmax(ratios)), float(np.max(ratios))

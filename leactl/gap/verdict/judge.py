@@ -68,7 +68,7 @@ def judge(evidence: Evidence, result: EffectSet, held_out: Mapping[Candidate, fl
             * (UNCONFIRMED_FACTOR if held_out.get(member.candidate, 0.0) < 0.0 else 1.0)
         )
         weights = [
-            math.exp(min((r.gain - member.gain) / (2.0 * pair_gain_tolerance(member, r, result.missed)), 2.0))
+            math.exp(min((r.gain - member.gain) / (2.0 * pair_gain_tolerance(member, r, result.squares_missed)), 2.0))
             * presence(r.height)
             for r in rivals[1:]
         ]
@@ -146,7 +146,7 @@ def median_of(values: Iterable[float]) -> float:
 
 def is_left_by_form(result: EffectSet, index: int) -> bool:
     """Return whether a nearly right form of a large effect explains the residual of one group of rows."""
-    return result.left[index] < FORM_LEFT_SHARE * result.taken[index]
+    return result.squares_left[index] < FORM_LEFT_SHARE * result.squares_taken[index]
 
 
 def largest_part(rows: Rows) -> float:

@@ -238,7 +238,7 @@ def nearest_effects(result: EffectSet, judged: Sequence[Judged], refused: Sequen
     for item in judged:
         if item.probability < NAMED_PROBABILITY and item.finding.effect not in near:
             near[item.finding.effect] = Near(item.finding.effect, reason_for_doubt(item))
-    for further in sorted(result.rest, key=lambda effect: -effect.height):
+    for further in sorted(result.further_effects, key=lambda effect: -effect.height):
         if further.effect not in near and further.height > LEAST_NEAR_HEIGHT:
             near[further.effect] = Near(further.effect, reason_kept_out(further))
     return tuple(near.values())
