@@ -138,7 +138,7 @@ def stretched(left, stretches=24, runs=1, state=None):
 
 def test_stretches_of_two_runs_are_no_neighbours():
     sample = stretched(np.repeat([1.0, 1.0], 2400), runs=2)
-    gained = slow_gain(sample.left, sample.stretch)
+    gained = slow_gain(sample.residual, sample.stretch)
     inner = np.isin(sample.stretch % 25, range(1, 23))
     assert gained[inner] == pytest.approx(1.0)
     assert not gained[~inner].any()
@@ -147,9 +147,9 @@ def test_stretches_of_two_runs_are_no_neighbours():
 def test_a_slow_rest_is_one_of_time_and_noise_or_no_gap_is_none():
     time, noise = np.linspace(0.0, 6.0, 4800), np.random.default_rng(3).normal(0.0, 1.0, 4800)
     slow = stretched(np.sin(time) + 0.1 * noise)
-    assert is_slow(slow.left, slow, float(np.sum(slow.left**2)))
-    assert not is_slow(slow.left, slow, 0.0)
-    assert not is_slow(slow.left, slow, 1e3 * float(np.sum(slow.left**2)))
+    assert is_slow(slow.residual, slow, float(np.sum(slow.residual**2)))
+    assert not is_slow(slow.residual, slow, 0.0)
+    assert not is_slow(slow.residual, slow, 1e3 * float(np.sum(slow.residual**2)))
     assert not is_slow(noise, stretched(noise), float(np.sum(noise**2)))
 
 
@@ -166,7 +166,7 @@ def test_the_shape_of_a_rest_is_what_it_was_and_what_the_function_leaves_of_it()
     sample = stretched(
         np.cos(31.0 * angle) + random.normal(0.0, 0.05, 6000), state={"angle": angle, "velocity": random.random(6000)}
     )
-    trial, chosen, ridge = learn(sample, (1.0, 2.0, 31.0), float(np.sum(sample.left**2)))
+    trial, chosen, ridge = learn(sample, (1.0, 2.0, 31.0), float(np.sum(sample.residual**2)))
     free = trial.function(chosen, ridge)
     rows = SimpleNamespace(
         quantity="velocity", role="test", mechanical="free", equation="free_torque", units="N*m", dependence=2.0
@@ -182,7 +182,7 @@ def test_a_larger_ridge_makes_a_smaller_function():
     random = np.random.default_rng(5)
     velocity = random.uniform(-1.0, 1.0, 3000)
     sample = stretched(velocity**3 + random.normal(0.0, 0.1, 3000), state={"velocity": velocity})
-    trial, chosen, _ = learn(sample, (1.0,), float(np.sum(sample.left**2)))
+    trial, chosen, _ = learn(sample, (1.0,), float(np.sum(sample.residual**2)))
     sizes = [float(np.sum(trial.function(chosen, ridge).of(sample) ** 2)) for ridge in (1e-6, 1e-2, 1.0, 100.0)]
     assert sizes == sorted(sizes, reverse=True)
     assert sizes[-1] < 0.1 * sizes[0]

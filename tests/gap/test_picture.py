@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import diagnose
-from leactl.gap.verdict.picture import Part, ResidualChannel, picture_of, shows_effect, view_of
+from leactl.gap.verdict.picture import ActingResiduals, ResidualChannel, picture_of, shows_effect, view_of
 from tests.gap.joints import Effect, Log, case, drawn_joint
 
 CHANNEL = ResidualChannel("velocity", "test", "free", "free_torque", "N*m")
@@ -14,7 +14,7 @@ CHANNEL = ResidualChannel("velocity", "test", "free", "free_torque", "N*m")
 
 def part(effect, angle):
     groups = np.arange(len(angle)) // 100
-    return Part(CHANNEL, effect, 0.0 * effect, effect, groups, {"angle": angle}, len(angle) / 10.0, 1.0)
+    return ActingResiduals(CHANNEL, effect, 0.0 * effect, effect, groups, {"angle": angle}, len(angle) / 10.0, 1.0)
 
 
 @pytest.mark.parametrize("order", [1.0, 14.0])

@@ -37,11 +37,11 @@ def described(rest, by=1.0, size=1.0):
     """Variables that are borne out on other runs, and the share that they close there."""
     fitted, others = made(1, rest, by, size), made(2, rest, by, size)
     noise = len(fitted) * (size * NOISE) ** 2
-    trial, chosen, ridge = learn(fitted, ORDERS, float(np.sum(fitted.left**2)) - noise)
+    trial, chosen, ridge = learn(fitted, ORDERS, float(np.sum(fitted.residual**2)) - noise)
     kept = confirmed_variables(trial, chosen, ridge, others)
     free = trial.function(kept, ridge)
-    after = float(np.sum((others.left - free.of(others)) ** 2))
-    return set(free.variables), 1.0 - (after - noise) / (float(np.sum(others.left**2)) - noise), free
+    after = float(np.sum((others.residual - free.of(others)) ** 2))
+    return set(free.variables), 1.0 - (after - noise) / (float(np.sum(others.residual**2)) - noise), free
 
 
 def of_speed(_, state, rows):
@@ -91,9 +91,9 @@ def test_a_similar_machine_has_the_same_answer(by, size):
 def test_what_drifts_is_like_its_neighbours_and_bursts_are_not():
     drifting, bursting = made(3, of_time), made(3, of_bursts)
     for sample, slow in ((drifting, True), (bursting, False)):
-        gained = slow_gain(sample.left, sample.stretch)
+        gained = slow_gain(sample.residual, sample.stretch)
         is_sure = certainty(gained, sample.stretch) >= LEAST_CERTAINTY
-        assert bool(is_sure and gained.sum() > 0.2 * np.sum(sample.left**2)) is slow
+        assert bool(is_sure and gained.sum() > 0.2 * np.sum(sample.residual**2)) is slow
 
 
 def test_one_stretch_alone_makes_nothing_certain():

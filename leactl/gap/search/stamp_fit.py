@@ -10,8 +10,8 @@ from leactl.gap.search.regression import Candidate, Fit, Rows, Stack
 from leactl.gap.signals.stamps import BETWEEN_SAMPLES, TAPS, lateness, tap_name
 
 Array = npt.NDArray[np.float64]
-# samples by which the sides of an equation may differ, early or late: by the stamps of each of two channels, by an input
-# that is held, and by a loop that is sampled
+# samples by which the sides of an equation may differ, early or late: by the stamps of each of two channels, by an
+# input that is held, and by a loop that is sampled
 STAMP_DELAY_BOUNDS = (1.0, 1.0, 0.5, 0.5)
 MOST_STAMP_DELAY = sum(STAMP_DELAY_BOUNDS)  # samples
 # samples, standard deviation of their sum, each uniform over its range

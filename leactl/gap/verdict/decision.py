@@ -9,10 +9,10 @@ NAMED_PROBABILITY = 0.5  # probability from which an effect counts as named
 UNKNOWN_PROBABILITY = 0.5  # probability of something unexplained from which the verdict is `unknown` if none is named
 
 
-def verdict_of(causes: Sequence[Cause], surprise: float, calibrates: bool) -> Verdict:
-    """Return the verdict by the causes, the probability of something unexplained, and whether calibration gains."""
+def verdict_of(causes: Sequence[Cause], unexplained_probability: float, calibration_gains: bool) -> Verdict:
+    """Return the verdict from the causes, the probability of something unexplained, and whether calibration gains."""
     if any(cause.probability >= NAMED_PROBABILITY for cause in causes):
         return "effect"
-    if surprise >= UNKNOWN_PROBABILITY:
+    if unexplained_probability >= UNKNOWN_PROBABILITY:
         return "unknown"
-    return "calibration" if calibrates else "none"
+    return "calibration" if calibration_gains else "none"

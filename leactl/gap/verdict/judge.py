@@ -28,15 +28,13 @@ COVERED_WIDTH = 0.02  # change of the explained share that changes the odds by a
 UNCONFIRMED_FACTOR = 0.4  # factor on the probability of an effect that makes held-out runs worse
 LEAST_SLOW_RESIDUAL = 5e-4  # share of an equation's largest part below which a slow residual shows nothing
 OVERLAP_NOISE_RATIO = 1.6  # squared ratio of a row's noise to that of its differences, where rows overlap
-FORM_LEFT_SHARE = 0.01  # share of the squares explained in a channel that inexact forms may leave there
+FORM_LEFT_SHARE = 0.01  # share of the squares explained in a group of rows that inexact forms may leave there
 EVEN_UNREST = 5.0  # unrest, over that of benches without effects, at even odds of something unexplained
 UNREST_SLOPE = 2.5  # exponent with which the odds grow with that ratio
-EVEN_RUN_UNREST = 25.0  # `EVEN_UNREST` for one run while the median run is at rest, and for a held-out run
+EVEN_RUN_UNREST = 25.0  # `EVEN_UNREST` for one run while the median run is quiet, and for a held-out run
 ONE_MACHINE_QUESTION = "are they of one machine in one state?"
 EVEN_LINE_HEIGHT = 1.28  # height of a spectral line over its neighbourhood at even odds
 LINE_SLOPE = 30.0  # exponent with which the odds grow with that height
-
-
 Channel = tuple[str, str, str]
 """Equation, quantity and mechanical set-up."""
 RunRatios = dict[Channel, list[tuple[str, float]]]
@@ -48,65 +46,76 @@ class Judged:
     """Judgement of one member of a set: its probability, its rivals and its class."""
 
     finding: FurtherEffect
-    explained: float
-    probability: float
-    rivals: tuple[tuple[FurtherEffect, float], ...]  # with their own probabilities
-    peers: tuple[str, ...]
+    explained: float  # share of the residual beyond noise that the set explains where the member acts
+    probability: float  # that the member or one of its peers is present
+    rivals: tuple[tuple[FurtherEffect, float], ...]  # with the probability of each alone
+    peers: tuple[str, ...]  # rivals that the data cannot tell apart from the member
 
 
-def judge(evidence: Evidence, result: EffectSet, held_out: Mapping[Candidate, float]) -> list[Judged]:
+def judge(evidence: Evidence, result: EffectSet, held_out_gains: Mapping[Candidate, float]) -> list[Judged]:
     """Return the judgement of each member of a set, the most probable first.
 
-    held_out : gain of each member on runs that were not fitted.
+    held_out_gains : gain of each member on runs that were not fitted.
     """
     judged = []
     for index, (member, rivals) in enumerate(zip(result.members, result.rivals, strict=True)):
         explained = result.explained(evidence, index)
-        present = (
+        presence_probability = (
             presence(member.height)
             * coverage(explained - library()[member.effect].explains)
-            * (UNCONFIRMED_FACTOR if held_out.get(member.candidate, 0.0) < 0.0 else 1.0)
+            * (UNCONFIRMED_FACTOR if held_out_gains.get(member.candidate, 0.0) < 0.0 else 1.0)
         )
         weights = [
-            math.exp(min((r.gain - member.gain) / (2.0 * pair_gain_tolerance(member, r, result.squares_missed)), 2.0))
-            * presence(r.height)
-            for r in rivals[1:]
+            math.exp(
+                min((rival.gain - member.gain) / (2.0 * pair_gain_tolerance(member, rival, result.squares_missed)), 2.0)
+            )
+            * presence(rival.height)
+            for rival in rivals[1:]
         ]
-        total = presence(member.height) + sum(weights)
-        member_share = presence(member.height) / total if total > 0 else 0.0
+        total_weight = presence(member.height) + sum(weights)
+        member_share = presence(member.height) / total_weight if total_weight > 0 else 0.0
         peers = tuple(
-            r.effect for r, w in zip(rivals[1:], weights, strict=True) if w > CLASS_WEIGHT * presence(member.height)
+            rival.effect
+            for rival, weight in zip(rivals[1:], weights, strict=True)
+            if weight > CLASS_WEIGHT * presence(member.height)
         )
         class_share = member_share + sum(
-            w / total for r, w in zip(rivals[1:], weights, strict=True) if r.effect in peers
+            weight / total_weight for rival, weight in zip(rivals[1:], weights, strict=True) if rival.effect in peers
         )
-        rival_probabilities = tuple((r, present * w / total) for r, w in zip(rivals[1:], weights, strict=True))
-        judged.append(Judged(member, explained, present * class_share, rival_probabilities, peers))
+        rival_probabilities = tuple(
+            (rival, presence_probability * weight / total_weight)
+            for rival, weight in zip(rivals[1:], weights, strict=True)
+        )
+        judged.append(Judged(member, explained, presence_probability * class_share, rival_probabilities, peers))
     return sorted(judged, key=lambda item: -item.probability)
 
 
-def pair_gain_tolerance(member: FurtherEffect, rival: FurtherEffect, missed: Mapping[Candidate, float]) -> float:
+def pair_gain_tolerance(
+    member: FurtherEffect, rival: FurtherEffect, squares_missed: Mapping[Candidate, float]
+) -> float:
     """Return the difference of two gains that noise and inexact forms explain; forms of pure lags are nearly exact.
 
     A form misses a usual share of what it explains, but no more than free forms of both effects explain in addition.
+
+    squares_missed : squares that free forms of an effect explain in addition to its own form.
     """
-    exact = all(
+    is_exact = all(
         library()[item.effect].shaped and library()[item.effect].explains > LOOSE_SHARE for item in (member, rival)
     )
-    usual_difference = 1.0 + EXACT_FORM_ERROR * member.gain if exact else gain_tolerance(member.gain)
-    missed_squares = sum(missed.get(item.candidate, 0.0) for item in (member, rival))
-    return min(usual_difference, 1.0 + TIE_SHARE * member.gain + missed_squares)
+    usual_difference = 1.0 + EXACT_FORM_ERROR * member.gain if is_exact else gain_tolerance(member.gain)
+    squares_of_both = sum(squares_missed.get(item.candidate, 0.0) for item in (member, rival))
+    return min(usual_difference, 1.0 + TIE_SHARE * member.gain + squares_of_both)
 
 
-def coverage(beyond: float) -> float:
+def coverage(excess_share: float) -> float:
     """Return the probability that an effect is the right one.
 
     The right form, even by another author, leaves about one percent unexplained; a form that only correlates leaves
     tens of percent.
 
-    beyond : share that the set explains, less the least share that the right effect explains.
+    excess_share : share that the set explains, less the least share that the right effect explains.
     """
-    return 1.0 / (1.0 + math.exp(-beyond / COVERED_WIDTH))
+    return 1.0 / (1.0 + math.exp(-excess_share / COVERED_WIDTH))
 
 
 def presence(height: float) -> float:
@@ -115,7 +124,7 @@ def presence(height: float) -> float:
 
 
 def unrest_of_runs(evidence: Evidence, result: EffectSet) -> RunRatios:
-    """Return the unrest of each run: its slow unexplained power over that of benches without an effect.
+    """Return the unrest of each run by channel: its slow unexplained power over that of machines without an effect.
 
     Noise changes from one row to the next. Power that does not, and that makes neighbouring rows alike, is model error.
     """
@@ -124,13 +133,15 @@ def unrest_of_runs(evidence: Evidence, result: EffectSet) -> RunRatios:
         if not evidence.is_judged(rows):
             continue
         white = evidence.sound_white(rows)
-        value = (rows.noise / white) ** 2 * rows.dependence
-        expected = evidence.expected(rows, white)
+        unrest_ratio = (rows.noise / white) ** 2 * rows.dependence
+        expected_unrest = evidence.expected(rows, white)
         slow_power = max(rows.noise**2 - white**2 * OVERLAP_NOISE_RATIO, 0.0)
         # a slow residual far below the largest part of its equation shows nothing, either
         if is_left_by_form(result, index) or slow_power < (LEAST_SLOW_RESIDUAL * largest_part(rows)) ** 2:
-            value = min(value, expected)
-        ratios.setdefault((rows.equation, rows.quantity, rows.mechanical), []).append((rows.run, value / expected))
+            unrest_ratio = min(unrest_ratio, expected_unrest)
+        ratios.setdefault((rows.equation, rows.quantity, rows.mechanical), []).append(
+            (rows.run, unrest_ratio / expected_unrest)
+        )
     return ratios
 
 
@@ -140,7 +151,7 @@ def unrest(by_run: RunRatios) -> dict[Channel, float]:
 
 
 def median_of(values: Iterable[float]) -> float:
-    """Return the median of an iterable; NaN if one of its values is."""
+    """Return the median of some values; NaN if one of them is NaN."""
     return float(np.median(list(values)))
 
 
@@ -181,7 +192,7 @@ def unexplained_in_channels(unrest_by_channel: Mapping[Channel, float], lines: M
 
 
 def unexplained_in_a_run(by_run: RunRatios) -> Unexplained:
-    """Judge the run with the highest unrest in a channel whose median run is at rest: it may be of another machine.
+    """Return the likeliest sign of a run that is of another machine: its unrest in a channel whose median run is quiet.
 
     The unrest of a run is the median over its stretches.
     """
@@ -189,10 +200,10 @@ def unexplained_in_a_run(by_run: RunRatios) -> Unexplained:
     for (equation, quantity, mechanical), ratios in by_run.items():
         runs = {run: median_of(ratio for name, ratio in ratios if name == run) for run, _ in ratios}
         run, ratio = max(runs.items(), key=lambda item: item[1])
-        typical = median_of(runs.values())
-        if typical < EVEN_UNREST:
+        median_ratio = median_of(runs.values())
+        if median_ratio < EVEN_UNREST:
             excess = f"{ratio:.3g} times as far from noise as a sound model leaves it"
-            comparison = f"the middle one of {len(runs)} runs {typical:.3g} times"
+            comparison = f"the middle one of {len(runs)} runs {median_ratio:.3g} times"
             note = f"unexplained: {quantity} of {run} ({equation}) is {excess}, {comparison}; {ONE_MACHINE_QUESTION}"
             candidates.append(
                 Unexplained(unexplained_probability(ratio, EVEN_RUN_UNREST), note, (equation, quantity, mechanical))
@@ -203,7 +214,7 @@ def unexplained_in_a_run(by_run: RunRatios) -> Unexplained:
 def unexplained_in_held_out(
     evidence: Evidence, hypothesis: Sequence[Candidate], held_out: Sequence[Record]
 ) -> Unexplained:
-    """Judge the held-out run with the largest residual, in multiples of the worst fitted run of its kind.
+    """Return the likeliest sign of a held-out run of another machine: its residual over that of the worst fitted run.
 
     A held-out run of another machine, or of the same machine in another state, shows in no fitted run.
 
@@ -215,43 +226,43 @@ def unexplained_in_held_out(
         return candidates[0]
     held_out_evidence.settle(hypothesis)
     fit = evidence.settle(hypothesis)
-    fitted = squares_left(evidence.stack, fit)
-    for key, runs in squares_left(
+    fitted_squares = mean_squares_by_run(evidence.stack, fit)
+    for key, runs in mean_squares_by_run(
         held_out_evidence.stack, transferred_fit(held_out_evidence.normal(), evidence, fit)
     ).items():
-        worst_fitted = max((residual for residual, _ in fitted.get(key, {}).values()), default=0.0)
+        worst_fitted = max((residual for residual, _ in fitted_squares.get(key, {}).values()), default=0.0)
         ratios = {
             run: (residual - noise) / worst_fitted for run, (residual, noise) in runs.items() if worst_fitted > 0.0
         }
         if ratios:
             run, ratio = max(ratios.items(), key=lambda item: item[1])
             equation, quantity, mechanical, _ = key
-            times = f"{math.sqrt(max(ratio, 0.0)):.3g} times"
-            distance = f"is {times} as far off the fit as in the fitted runs of its kind"
-            note = f"unexplained: {quantity} of {run} ({equation}) {distance}; {ONE_MACHINE_QUESTION}"
+            ratio_text = f"{math.sqrt(max(ratio, 0.0)):.3g} times"
+            comparison = f"is {ratio_text} as far off the fit as in the fitted runs of its kind"
+            note = f"unexplained: {quantity} of {run} ({equation}) {comparison}; {ONE_MACHINE_QUESTION}"
             candidates.append(
                 Unexplained(unexplained_probability(ratio, EVEN_RUN_UNREST), note, (equation, quantity, mechanical))
             )
     return max(candidates, key=lambda candidate: candidate.probability)
 
 
-def squares_left(stacked: Stack, fit: Fit) -> dict[tuple[str, str, str, str], dict[str, tuple[float, float]]]:
+def mean_squares_by_run(stacked: Stack, fit: Fit) -> dict[tuple[str, str, str, str], dict[str, tuple[float, float]]]:
     """Return the mean squares of each run's residuals and of its noise from row to row.
 
     The keys are equation, quantity, mechanical set-up and kind of run, and below them the run. A run that is read in
     stretches has the medians over its stretches.
     """
-    by_kind: dict[tuple[str, str, str, str], dict[str, list[tuple[float, float]]]] = {}
+    squares_by_kind: dict[tuple[str, str, str, str], dict[str, list[tuple[float, float]]]] = {}
     for index, rows in enumerate(stacked.rows):
-        squares = float(np.mean(residuals(stacked, fit, index) ** 2)), rows.white**2
-        by_run = by_kind.setdefault((rows.equation, rows.quantity, rows.mechanical, rows.kind), {})
-        by_run.setdefault(rows.run, []).append(squares)
+        residual_and_noise = float(np.mean(residuals(stacked, fit, index) ** 2)), rows.white**2
+        squares_of_runs = squares_by_kind.setdefault((rows.equation, rows.quantity, rows.mechanical, rows.kind), {})
+        squares_of_runs.setdefault(rows.run, []).append(residual_and_noise)
     return {
         key: {
             run: (median_of(square for square, _ in pairs), median_of(square for _, square in pairs))
             for run, pairs in runs.items()
         }
-        for key, runs in by_kind.items()
+        for key, runs in squares_by_kind.items()
     }
 
 

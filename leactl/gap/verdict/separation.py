@@ -15,10 +15,10 @@ Compare = Callable[[Sequence[Candidate], Sequence[Candidate]], SquaresRatio]
 
 
 class RuledOut(NamedTuple):
-    """An effect that held-out runs rule out in favour of another one of its class."""
+    """An effect that held-out runs rule out in favour of another effect of its class."""
 
     effect: str
-    by: str  # effect that fits better
+    by: str  # effect that fits better, of the same class
     times: float  # squared gap with the ruled-out effect, over that with the better one
 
     def note(self) -> str:
@@ -32,11 +32,11 @@ class RuledOut(NamedTuple):
 def nearest_of_classes(
     hypothesis: Sequence[Candidate], judged: Sequence[Judged], compare: Compare
 ) -> tuple[list[Candidate], list[RuledOut]]:
-    """Choose the effect of each class that fits held-out runs best in replays; rule out the clearly worse ones.
+    """Return the set with the effect of each class that fits held-out runs best in replays, and the effects ruled out.
 
     Equations judge each instant separately and leave out rows that they cannot resolve; a replay has to follow the
     whole course. Neither of two effects is ruled out where the difference is unclear, or where even the better replay
-    misses a channel by more than `MOST_REPLAY_MISS`: another error there may favour either.
+    misses a channel by more than `MOST_REPLAY_MISS` floors: another error there may favour either effect.
     """
     nearest, ruled_out = list(hypothesis), list[RuledOut]()
     for item in judged:
@@ -45,20 +45,22 @@ def nearest_of_classes(
             if rival.effect not in item.peers or rival.effect in {effect for effect, _ in nearest}:
                 continue
             with_rival = [rival.candidate if candidate == member else candidate for candidate in nearest]
-            ratio = compare(nearest, with_rival)
-            if ratio.worst_miss > MOST_REPLAY_MISS:
+            squared_ratio = compare(nearest, with_rival)
+            if squared_ratio.worst_miss > MOST_REPLAY_MISS:
                 continue
-            if ratio.low > 1.0 and ratio.value > RULED_OUT_RATIO:
-                ruled_out.append(RuledOut(rival.effect, member[0], ratio.value))
-            elif ratio.high < 1.0 and ratio.value < 1.0 / RULED_OUT_RATIO:
-                ruled_out.append(RuledOut(member[0], rival.effect, 1.0 / ratio.value))
+            if squared_ratio.low > 1.0 and squared_ratio.value > RULED_OUT_RATIO:
+                ruled_out.append(RuledOut(rival.effect, member[0], squared_ratio.value))
+            elif squared_ratio.high < 1.0 and squared_ratio.value < 1.0 / RULED_OUT_RATIO:
+                ruled_out.append(RuledOut(member[0], rival.effect, 1.0 / squared_ratio.value))
                 nearest, member = with_rival, rival.candidate
     return nearest, ruled_out
 
 
 def without_ruled_out(item: Judged, ruled_out: Sequence[RuledOut]) -> Judged:
-    """Return a member of a set with the effects removed that are ruled out in its class."""
-    members = {item.finding.effect, *item.peers}
-    names = {effect.effect for effect in ruled_out if effect.by in members}
-    rivals = tuple((rival, 0.0 if rival.effect in names else probability) for rival, probability in item.rivals)
-    return replace(item, rivals=rivals, peers=tuple(name for name in item.peers if name not in names))
+    """Return the judgement of a member without the effects ruled out in its class: rivals with probability 0."""
+    effects_of_class = {item.finding.effect, *item.peers}
+    ruled_out_names = {effect.effect for effect in ruled_out if effect.by in effects_of_class}
+    rivals = tuple(
+        (rival, 0.0 if rival.effect in ruled_out_names else probability) for rival, probability in item.rivals
+    )
+    return replace(item, rivals=rivals, peers=tuple(name for name in item.peers if name not in ruled_out_names))

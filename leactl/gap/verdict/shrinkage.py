@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 LEAST_LOG_GAP = math.log(LEAST_GAP_FLOORS)
 EQUAL_SQUARES_RATIO = 1.001  # ratio of squared gaps of a channel up to which two models follow it equally well
 FEWEST_BLOCKS = 8  # blocks of a channel; with fewer, resampling does not determine the ends of an interval
-TRACE_POINTS = 1500  # most points of a drawn trace
+TRACE_POINTS = 1500  # largest number of points of a drawn trace
 SLOW_SAMPLING_S = 0.05  # s between samples from which a thinned-out trace shows the whole run; a faster one would alias
 
 
@@ -36,9 +36,9 @@ class Trace:
     role: str
     mechanical: str
     units: str
-    time: Array
+    time: Array  # s
     measured: Array
-    nominal: Array
+    nominal: Array  # replay by the nominal model; the following likewise
     calibrated: Array
     augmented: Array
 
@@ -68,7 +68,7 @@ class SquaresRatio(NamedTuple):
     value: float
     low: float
     high: float
-    worst_miss: float  # floors, largest miss of the nearer model on the channels on which the two differ
+    worst_miss: float  # floors, largest gap of the nearer model on a channel on which the two differ
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ def shrinkage(
     seed: int = 0,
     unexplained: Mapping[tuple[str, str, str], float] | None = None,
 ) -> Shrunk:
-    """Simulate held-out runs again with three models and compare their gaps.
+    """Return the shrinkage of the gap from replays of held-out runs with three models.
 
     The floor is the gap of the augmented model to its own output with the channels' noise, quantisation, and the noise
     of its start and inputs added. Intervals come from resampling blocks of one second (a twentieth of the run for
@@ -109,7 +109,7 @@ def shrinkage(
     jobs, channels = simulate_again(records, (nominal, calibrated, augmented), random, unexplained)
     groups = group_channels(channels)
     return Shrunk(
-        tuple(_shrunk(group, random) for group in groups),
+        tuple(_shrinkage_of(group, random) for group in groups),
         tuple(_trace(group) for group in groups),
         tuple(channels),
         _notes(jobs, channels),
@@ -123,7 +123,7 @@ def simulate_again(
     random: np.random.Generator,
     unexplained: Mapping[tuple[str, str, str], float] | None = None,
 ) -> tuple[list[Job], list[Compared]]:
-    """Simulate runs again with three models; return the replays, and each channel of each run with its replays.
+    """Return the replays of runs with three models, and each channel of each run compared with its replays.
 
     The parameters are those of `shrinkage`; the floor is that of the last model.
     """
@@ -131,18 +131,24 @@ def simulate_again(
     give = fitted_give(records, models[-1])
     for plant in plants:
         plant.give = give
-    sets = []
+    jobs_of_records = []
     for record in records:
         replays: list[Job] = []
         for index, plant in enumerate(plants):
             # a model that adds nothing to the one before it is not simulated twice
             replays.append(replays[-1] if index and models[index] == models[index - 1] else Job(record, plant))
-        sets.append((record, replays, Job(record, replays[-1].plant, random)))
+        jobs_of_records.append((record, replays, Job(record, replays[-1].plant, random)))
     jobs = [
-        job for _, replays, noisy_replay in sets for job in (*{id(job): job for job in replays}.values(), noisy_replay)
+        job
+        for _, replays, noisy_replay in jobs_of_records
+        for job in (*{id(job): job for job in replays}.values(), noisy_replay)
     ]
     replay_all(jobs)
-    channels = [channel for record, replays, noisy_replay in sets for channel in compare(record, replays, noisy_replay)]
+    channels = [
+        channel
+        for record, replays, noisy_replay in jobs_of_records
+        for channel in compare(record, replays, noisy_replay)
+    ]
     if unexplained:
         channels = [
             replace(
@@ -157,7 +163,7 @@ def simulate_again(
 
 
 def group_channels(channels: Sequence[Compared]) -> list[list[Compared]]:
-    """Group compared channels by quantity, role and set-up."""
+    """Return compared channels in groups by quantity, role and set-up."""
     groups: dict[tuple[str, str, str], list[Compared]] = {}
     for channel in channels:
         groups.setdefault((channel.quantity, channel.role, channel.mechanical), []).append(channel)
@@ -171,26 +177,26 @@ def squares_ratio(channels: Sequence[Compared], random: np.random.Generator) -> 
     without a floor does not count. NaN where no channel counts, and where a channel on which the two models differ has
     fewer than `FEWEST_BLOCKS` blocks.
     """
-    unknown = SquaresRatio(math.nan, math.nan, math.nan, math.nan)
-    observed, resampled, differing = np.zeros(2), np.zeros((RESAMPLES, 2)), list[Array]()
+    undecided = SquaresRatio(math.nan, math.nan, math.nan, math.nan)
+    observed, resampled, differing_squares = np.zeros(2), np.zeros((RESAMPLES, 2)), list[Array]()
     for counts, sums in map(_blocks, group_channels(channels)):
         floor = sums[:, 3].sum() / counts.sum()
         if floor <= 0.0:
             continue
-        picked = random.integers(0, len(counts), (RESAMPLES, len(counts)))
-        means = sums[picked].sum(axis=1) / counts[picked].sum(axis=1)[:, None]
+        drawn_blocks = random.integers(0, len(counts), (RESAMPLES, len(counts)))
+        means = sums[drawn_blocks].sum(axis=1) / counts[drawn_blocks].sum(axis=1)[:, None]
         squares = np.maximum(sums.sum(axis=0) / counts.sum() / floor, LEAST_GAP_FLOORS**2)[1:3]
         if squares.max() > EQUAL_SQUARES_RATIO * squares.min():
             if len(counts) < FEWEST_BLOCKS:
-                return unknown
-            differing.append(squares)
+                return undecided
+            differing_squares.append(squares)
         observed += squares
         resampled += np.maximum(means / floor, LEAST_GAP_FLOORS**2)[:, 1:3]
     if not observed.all():
-        return unknown
+        return undecided
     low, high = np.quantile(resampled[:, 1] / resampled[:, 0], (TAIL_PROBABILITY, 1.0 - TAIL_PROBABILITY))
-    nearer = int(np.argmin(observed))
-    worst_miss = math.sqrt(max((squares[nearer] for squares in differing), default=0.0))
+    nearer_model = int(np.argmin(observed))
+    worst_miss = math.sqrt(max((squares[nearer_model] for squares in differing_squares), default=0.0))
     return SquaresRatio(float(observed[1] / observed[0]), float(low), float(high), worst_miss)
 
 
@@ -199,14 +205,14 @@ def _growth(groups: Sequence[list[Compared]], random: np.random.Generator) -> Gr
     log_gaps, resampled = np.zeros(3), np.zeros((RESAMPLES, 3))
     channels = [_blocks(group) for group in groups]
     for counts, sums in channels:
-        picked = random.integers(0, len(counts), (RESAMPLES, len(counts)))
+        drawn_blocks = random.integers(0, len(counts), (RESAMPLES, len(counts)))
         log_gaps += np.maximum(_log_gaps(sums.sum(axis=0)), LEAST_LOG_GAP)
-        resampled += np.maximum(_log_gaps(sums[picked].sum(axis=1)), LEAST_LOG_GAP)
-    nearer = 1 if log_gaps[1] < log_gaps[0] else 0
-    pairs = ((0, 1), (nearer, 2))
+        resampled += np.maximum(_log_gaps(sums[drawn_blocks].sum(axis=1)), LEAST_LOG_GAP)
+    nearer_model = 1 if log_gaps[1] < log_gaps[0] else 0
+    model_pairs = ((0, 1), (nearer_model, 2))
     by_calibration, by_effects = (
         (float(log_gaps[b] - log_gaps[a]), float(np.quantile(resampled[:, b] - resampled[:, a], TAIL_PROBABILITY)))
-        for a, b in pairs
+        for a, b in model_pairs
     )
     return Growth(by_calibration, by_effects, *closes_gap(channels, random))
 
@@ -221,22 +227,27 @@ def closes_gap(
 
     channels : samples (blocks,) and sums of squares (blocks, 4: three models and the floor) of each channel.
     """
-    with_blocks = [(counts, sums) for counts, sums in channels if len(counts) >= FEWEST_BLOCKS]
-    shrinking = []
-    for counts, sums in with_blocks:
-        observed, gaps = _log_gaps(sums.sum(axis=0)), _log_gaps(sums)
-        nearer = int(np.argmin(observed[:2]))
-        if observed[nearer] > max(observed[2], LEAST_LOG_GAP):
-            picked = random.integers(0, len(counts), (RESAMPLES, len(counts)))
-            resampled = _log_gaps(sums[picked].sum(axis=1))
-            by_block = (counts * (gaps[:, nearer] - gaps[:, 2]))[picked].sum(axis=1)
-            shrinking.append((resampled[:, nearer] - resampled[:, 2], by_block))
-    if not with_blocks:
+    channels_with_blocks = [(counts, sums) for counts, sums in channels if len(counts) >= FEWEST_BLOCKS]
+    falls_of_channels = []
+    for counts, sums in channels_with_blocks:
+        log_gaps, log_gaps_of_blocks = _log_gaps(sums.sum(axis=0)), _log_gaps(sums)
+        nearer_model = int(np.argmin(log_gaps[:2]))
+        if log_gaps[nearer_model] > max(log_gaps[2], LEAST_LOG_GAP):
+            drawn_blocks = random.integers(0, len(counts), (RESAMPLES, len(counts)))
+            resampled = _log_gaps(sums[drawn_blocks].sum(axis=1))
+            falls_by_block = (counts * (log_gaps_of_blocks[:, nearer_model] - log_gaps_of_blocks[:, 2]))[
+                drawn_blocks
+            ].sum(axis=1)
+            falls_of_channels.append((resampled[:, nearer_model] - resampled[:, 2], falls_by_block))
+    if not channels_with_blocks:
         return None, None
     # Bonferroni: one of many channels shrinks by chance
-    chance = TAIL_PROBABILITY / max(2 * len(shrinking), 1)
-    passed = [[float(np.quantile(falls, chance)) > 0.0 for falls in pair] for pair in shrinking]
-    return any(map(any, passed)), any(map(all, passed))
+    tail_probability = TAIL_PROBABILITY / max(2 * len(falls_of_channels), 1)
+    passes = [
+        [float(np.quantile(falls_of_gap, tail_probability)) > 0.0 for falls_of_gap in pair]
+        for pair in falls_of_channels
+    ]
+    return any(map(any, passes)), any(map(all, passes))
 
 
 def _log_gaps(sums: Array) -> Array:
@@ -246,16 +257,17 @@ def _log_gaps(sums: Array) -> Array:
     return np.asarray(0.5 * (logs[..., :3] - logs[..., 3:]), np.float64)
 
 
-def _shrunk(group: list[Compared], random: np.random.Generator) -> Shrinkage:
+def _shrinkage_of(group: list[Compared], random: np.random.Generator) -> Shrinkage:
+    """Return the shrinkage of one channel's gap, with the interval of its closed share from resampled blocks."""
     channel = group[0]
     counts, sums = _blocks(group)
-    nominal, calibrated, augmented, floor = (float(v) for v in np.sqrt(sums.sum(axis=0) / counts.sum()))
-    closed = low = high = None
+    nominal, calibrated, augmented, floor = (float(rms) for rms in np.sqrt(sums.sum(axis=0) / counts.sum()))
+    closed_share = closed_low = closed_high = None
     if calibrated > LEAST_GAP_FLOORS * floor:
-        closed = (calibrated - augmented) / (calibrated - floor)
-        picked = random.integers(0, len(counts), (RESAMPLES, len(counts)))
-        resampled = np.sqrt(sums[picked].sum(axis=1) / counts[picked].sum(axis=1)[:, None])
-        low, high = closed_interval(resampled)
+        closed_share = (calibrated - augmented) / (calibrated - floor)
+        drawn_blocks = random.integers(0, len(counts), (RESAMPLES, len(counts)))
+        resampled_gaps = np.sqrt(sums[drawn_blocks].sum(axis=1) / counts[drawn_blocks].sum(axis=1)[:, None])
+        closed_low, closed_high = closed_interval(resampled_gaps)
     units = UNITS[channel.quantity]
     return Shrinkage(
         channel.quantity,
@@ -266,56 +278,66 @@ def _shrunk(group: list[Compared], random: np.random.Generator) -> Shrinkage:
         calibrated,
         augmented,
         floor,
-        closed,
-        low,
-        high,
+        closed_share,
+        closed_low,
+        closed_high,
     )
 
 
-def closed_interval(resampled: Array) -> tuple[float, float] | tuple[None, None]:
+def closed_interval(resampled_gaps: Array) -> tuple[float, float] | tuple[None, None]:
     """Return the interval of the closed share of the gap; None where chance may leave no gap to close.
 
-    resampled : (samples, 4), gaps of the three models and the floor.
+    resampled_gaps : shape (resamples, 4), gaps of the three models and the floor.
     """
-    open_gap = resampled[:, 1] > resampled[:, 3]
-    if np.mean(~open_gap) > TAIL_PROBABILITY:
+    is_open = resampled_gaps[:, 1] > resampled_gaps[:, 3]
+    if np.mean(~is_open) > TAIL_PROBABILITY:
         return None, None
-    gaps = resampled[open_gap]
-    shares = (gaps[:, 1] - gaps[:, 2]) / (gaps[:, 1] - gaps[:, 3])
+    open_gaps = resampled_gaps[is_open]
+    shares = (open_gaps[:, 1] - open_gaps[:, 2]) / (open_gaps[:, 1] - open_gaps[:, 3])
     low, high = np.quantile(shares, (TAIL_PROBABILITY, 1.0 - TAIL_PROBABILITY))
     return float(low), float(high)
 
 
 def _blocks(group: list[Compared]) -> tuple[Array, Array]:
-    """Return the samples of each block, and the sums of squares of the three models and the floor."""
+    """Return the number of samples of each block, and its sums of squares: of the three models and the floor.
+
+    Shapes are (blocks,) and (blocks, 4).
+    """
     counts, sums = [], []
     for channel in group:
-        size = int(channel.block[-1]) + 1
-        count = np.bincount(channel.block, minlength=size).astype(float)
-        squares = [*(channel.squares(model) for model in range(3)), channel.floor_squares()]
-        table = np.stack([np.bincount(channel.block, weights=s, minlength=size) for s in squares], axis=1)
-        counts.append(count[count > 0])
-        sums.append(table[count > 0])
+        block_count = int(channel.block[-1]) + 1
+        samples_of_blocks = np.bincount(channel.block, minlength=block_count).astype(float)
+        squares_by_column = [*(channel.squares(model) for model in range(3)), channel.floor_squares()]
+        sums_of_blocks = np.stack(
+            [
+                np.bincount(channel.block, weights=squares_of_samples, minlength=block_count)
+                for squares_of_samples in squares_by_column
+            ],
+            axis=1,
+        )
+        counts.append(samples_of_blocks[samples_of_blocks > 0])
+        sums.append(sums_of_blocks[samples_of_blocks > 0])
     return np.concatenate(counts), np.concatenate(sums)
 
 
 def _trace(group: list[Compared]) -> Trace:
-    """Return the trace of the run in which the calibrated model is farthest off."""
-    worst = max(group, key=lambda c: float(np.mean(c.squares(1))))
-    keep = _trace_window(worst)
+    """Return the trace of the run in which the calibrated model has the largest gap."""
+    worst = max(group, key=lambda channel: float(np.mean(channel.squares(1))))
+    window = _trace_window(worst)
     return Trace(
         worst.run,
         worst.quantity,
         worst.role,
         worst.mechanical,
         UNITS[worst.quantity],
-        worst.time[keep],
-        worst.measured[keep],
-        *(replayed[keep] for replayed in worst.replayed),
+        worst.time[window],
+        worst.measured[window],
+        *(replayed[window] for replayed in worst.replayed),
     )
 
 
 def _trace_window(channel: Compared) -> slice:
+    """Return the samples to draw: all, every n-th of a slow channel, or the stretch with the largest residual."""
     if len(channel.time) <= TRACE_POINTS:
         return slice(None)
     if float(np.median(np.diff(channel.time))) >= SLOW_SAMPLING_S:
@@ -326,17 +348,18 @@ def _trace_window(channel: Compared) -> slice:
 
 
 def _notes(jobs: Sequence[Job], channels: Sequence[Compared]) -> tuple[str, ...]:
+    """Return the notes of replays: their own, on samples at the voltage ceiling, and on restarts; each once."""
     notes = [note for job in jobs for note in job.notes]
     run_of = {job.record.name: job.record.run for job in jobs}
-    limited: dict[str, dict[str, int]] = {}
+    ceiling_samples: dict[str, dict[str, int]] = {}
     for job in jobs:
         if job.at_ceiling:
-            limited.setdefault(job.record.path.name, {})[job.record.name] = job.at_ceiling
-    for file, counts in limited.items():
+            ceiling_samples.setdefault(job.record.path.name, {})[job.record.name] = job.at_ceiling
+    for file, counts in ceiling_samples.items():
         total = sum(counts.values())
         notes.append(f"{file}: {total} samples at the voltage ceiling; the measured current drives the replay there")
-    restarted = sorted({run_of[channel.run] for channel in channels if channel.restarts})
-    if restarted:
-        runs = ", ".join(restarted)
+    restarted_runs = sorted({run_of[channel.run] for channel in channels if channel.restarts})
+    if restarted_runs:
+        runs = ", ".join(restarted_runs)
         notes.append(f"the replay of {runs} starts again every second from the measured state: an angle is an integral")
     return tuple(dict.fromkeys(notes))

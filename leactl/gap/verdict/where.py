@@ -28,11 +28,12 @@ from leactl.vocabulary.variable import VARIABLES
 
 Array = npt.NDArray[np.float64]
 REGION_SHARE = 0.8  # share of the squared residual that a region holds
-REGION_BINS = 12  # candidates for the ends of a region
-MOST_REGION_DATA = 0.75  # share of the data; a larger region is not reported
+REGION_BINS = 12  # number of bins at whose edges a region may begin and end
+MOST_REGION_DATA = 0.75  # share of the samples; `smallest_region` returns no larger region
+# units of variables that are no quantity of a channel
 OTHER_UNITS = {"direction": "1", "frequency": "Hz", "time": "s", "time_since_reversal": "s"}
-MOST_PROFILES = 5  # first entries that get a profile
-PROFILE_BINS = 24
+MOST_PROFILES = 5  # number of first entries that get a profile
+PROFILE_BINS = 24  # bins of a profile
 FEWEST_IN_BIN = 8  # samples of a bin that is drawn
 OMITTED_SHARE = 0.002  # share of the data at either end that a profile leaves out
 
@@ -54,32 +55,34 @@ class Profile:
 
 
 def where(records: Sequence[Record], channels: Sequence[Compared], effects: Sequence[Cause] = ()) -> tuple[Where, ...]:
-    """Return one entry for each quantity, role and set-up, the largest ratio of gap to floor first.
+    """Return one entry for each quantity, role and set-up, the largest ratio of calibrated distance to floor first.
 
     effects : effects of the augmented model; where they close a gap, its region is in a variable that they act in.
     """
     by_name = {record.name: record for record in records}
-    grouped: dict[tuple[str, str, str], list[Compared]] = {}
+    groups: dict[tuple[str, str, str], list[Compared]] = {}
     for channel in channels:
-        grouped.setdefault((channel.quantity, channel.role, channel.mechanical), []).append(channel)
-    lines = []
-    for (quantity, role, mechanical), group in grouped.items():
+        groups.setdefault((channel.quantity, channel.role, channel.mechanical), []).append(channel)
+    entries = []
+    for (quantity, role, mechanical), group in groups.items():
         nominal, calibrated = (rms([channel.squares(k) for channel in group]) for k in (0, 1))
         floor = practical_floor(group)
-        region, share = None, 0.0
+        region, share_in_region = None, 0.0
         if calibrated > LEAST_GAP_FLOORS * floor:
-            pairs = [(by_name[channel.run], channel) for channel in group]
+            records_and_channels = [(by_name[channel.run], channel) for channel in group]
             acting = effects if closes_most(group, floor) else ()
-            region, share = region_of_effects(pairs, acting) or smallest_region(pairs)
+            region, share_in_region = region_of_effects(records_and_channels, acting) or smallest_region(
+                records_and_channels
+            )
         units = UNITS.get(quantity, "")
-        lines.append(Where(quantity, role, mechanical, units, nominal, calibrated, floor, region, share))
-    return tuple(sorted(lines, key=lambda item: -item.calibrated_rms / max(item.floor_rms, 1e-300)))
+        entries.append(Where(quantity, role, mechanical, units, nominal, calibrated, floor, region, share_in_region))
+    return tuple(sorted(entries, key=lambda entry: -entry.calibrated_rms / max(entry.floor_rms, 1e-300)))
 
 
 def profiles(records: Sequence[Record], channels: Sequence[Compared], entries: Sequence[Where]) -> tuple[Profile, ...]:
-    """Return the profiles of the first entries with a gap, over the variable of their region, else over time."""
+    """Return the profiles of the first entries that have a gap, over the variable of their region, else over time."""
     by_name = {record.name: record for record in records}
-    curves = []
+    drawn_profiles = []
     for entry in entries[:MOST_PROFILES]:
         if entry.calibrated_rms <= LEAST_GAP_FLOORS * entry.floor_rms:
             continue
@@ -96,47 +99,50 @@ def profiles(records: Sequence[Record], channels: Sequence[Compared], entries: S
                 values.append(fold_angle(series, 1.0) if entry.region and entry.region.within_turn else series)
                 residuals.append(channel.measured - np.stack(channel.replayed))
         low, high, mean, std = bin_statistics(np.concatenate(values), np.concatenate(residuals, axis=1))
-        curves.append(Profile(*key, entry.units, variable, units, low, high, mean, std))
-    return tuple(curves)
+        drawn_profiles.append(Profile(*key, entry.units, variable, units, low, high, mean, std))
+    return tuple(drawn_profiles)
 
 
 def bin_statistics(values: Array, residuals: Array) -> tuple[Array, Array, Array, Array]:
-    """Return lower and upper edges of even bins with enough samples, and mean and standard deviation of each row there.
+    """Return edges, mean and standard deviation of bins with enough samples: low, high, mean and std.
 
-    residuals : (models, samples).
+    Bins are equally wide, or one for each level of a variable with few levels. Mean and std have shape (models, bins).
+
+    values : variable at each sample.
+    residuals : shape (models, samples).
     """
     levels = np.unique(values)
     if len(levels) <= PROFILE_BINS // 2:
-        half = 0.25 * float(np.min(np.diff(levels))) if len(levels) > 1 else 0.5
-        low, high = levels - half, levels + half
+        half_width = 0.25 * float(np.min(np.diff(levels))) if len(levels) > 1 else 0.5
+        low, high = levels - half_width, levels + half_width
     else:
         lowest, highest = np.quantile(values, (OMITTED_SHARE, 1.0 - OMITTED_SHARE))
         edges = np.linspace(lowest, highest, PROFILE_BINS + 1)
         low, high = edges[:-1], edges[1:]
-    inside = [(values >= a) & (values <= b) for a, b in zip(low, high, strict=True)]
-    full = np.asarray([int(mask.sum()) >= FEWEST_IN_BIN for mask in inside])
-    rows = [residuals[:, mask] for mask, enough in zip(inside, full, strict=True) if enough]
-    shape = (len(rows), len(residuals))  # without any bin there is still a row for each model
-    mean = np.asarray([part.mean(axis=1) for part in rows]).reshape(shape).T
-    std = np.asarray([part.std(axis=1) for part in rows]).reshape(shape).T
-    return low[full], high[full], mean, std
+    masks = [(values >= a) & (values <= b) for a, b in zip(low, high, strict=True)]
+    has_enough = np.asarray([int(mask.sum()) >= FEWEST_IN_BIN for mask in masks])
+    residuals_of_bins = [residuals[:, mask] for mask, is_drawn in zip(masks, has_enough, strict=True) if is_drawn]
+    shape = (len(residuals_of_bins), len(residuals))  # of an array that keeps a row for each model even without any bin
+    mean = np.asarray([residuals_of_bin.mean(axis=1) for residuals_of_bin in residuals_of_bins]).reshape(shape).T
+    std = np.asarray([residuals_of_bin.std(axis=1) for residuals_of_bin in residuals_of_bins]).reshape(shape).T
+    return low[has_enough], high[has_enough], mean, std
 
 
 def practical_floor(group: Sequence[Compared]) -> float:
     """Return the noise floor of a channel, raised by the error that a replay of the right model would have.
 
-    Sticking and restarts make such a replay miss by a few times the noise: the part of the calibrated distance that
-    the augmented model misses as well is no gap. Only the squares beyond it count, in units of the noise.
+    Sticking and restarts make such a replay miss by a few times the noise. The part of the calibrated distance that
+    the augmented model has as well, up to `MOST_REPLAY_MISS` floors, is therefore no gap.
     """
     floor = rms([channel.floor_squares() for channel in group])
     calibrated, augmented = (rms([channel.squares(model) for channel in group]) for model in (1, 2))
-    missed = min(max(floor, min(calibrated, augmented)), MOST_REPLAY_MISS * floor)
-    beyond = floor**2 + calibrated**2 - missed**2
-    return calibrated * floor / math.sqrt(beyond) if beyond > 0.0 else floor
+    common_miss = min(max(floor, min(calibrated, augmented)), MOST_REPLAY_MISS * floor)
+    squares_beyond_miss = floor**2 + calibrated**2 - common_miss**2
+    return calibrated * floor / math.sqrt(squares_beyond_miss) if squares_beyond_miss > 0.0 else floor
 
 
 def rms(squares: Sequence[Array]) -> float:
-    """Return the root of the mean of several runs' squares."""
+    """Return the root mean square of several runs together from their squares."""
     return float(np.sqrt(np.mean(np.concatenate(list(squares)))))
 
 
@@ -160,17 +166,24 @@ class GapOverVariable:
 def region_of_effects(
     group: Sequence[tuple[Record, Compared]], effects: Sequence[Cause]
 ) -> tuple[Region | None, float] | None:
-    """Return the interval of an effect's variable that holds most of the gap, and its share; None without one.
+    """Return the interval of an effect's variable that holds most of the gap, and its share; None if there is none.
 
     The interval may hold any share of the data.
     """
-    wanted = [(quantity, periods_of(cause)) for cause in effects for quantity in region_quantities(cause.effect)]
-    views = [view for quantity, periods in wanted if (view := over_quantity(group, quantity, periods)) is not None]
+    quantities_and_periods = [
+        (quantity, periods_of(cause)) for cause in effects for quantity in region_quantities(cause.effect)
+    ]
+    views = [
+        view
+        for quantity, periods in quantities_and_periods
+        if (view := over_quantity(group, quantity, periods)) is not None
+    ]
     best = first_that_follows(views, lambda view: view.explained)
     if best is None or (interval := narrowest_interval(best.values, best.squares)) is None:
         return None
+    low, high, share, _ = interval
     units = OTHER_UNITS.get(best.quantity, UNITS.get(best.quantity, ""))
-    return Region(best.quantity, interval[0], interval[1], units, best.within_turn), interval[2]
+    return Region(best.quantity, low, high, units, best.within_turn), share
 
 
 def region_quantities(effect: str) -> list[str]:
@@ -181,24 +194,24 @@ def region_quantities(effect: str) -> list[str]:
 
 def over_quantity(group: Sequence[tuple[Record, Compared]], quantity: str, periods: float) -> GapOverVariable | None:
     """Return the gap of a channel over a quantity, folded within a turn if it repeats; None where no run has it."""
-    values, parts, squares, signs, blocks = [], [], [], [], 0
+    values, differences, squares, signs, block_count = [], [], [], [], 0
     for record, channel in group:
         series = variable_of(record, channel, quantity)
         if series is None:
             continue
         direction = variable_of(record, channel, "direction")
         values.append(series)
-        parts.append(channel.replayed[2] - channel.replayed[1])
+        differences.append(channel.replayed[2] - channel.replayed[1])
         squares.append(channel.squares(1))
         signs.append(np.sign(direction) if direction is not None else np.zeros_like(series))
-        blocks += len(np.unique(channel.block))
+        block_count += len(np.unique(channel.block))
     if not values:
         return None
-    series, part, sign = (np.concatenate(rows) for rows in (values, parts, signs))
+    series, difference, sign = (np.concatenate(rows) for rows in (values, differences, signs))
 
     def explained(folded_values: Array) -> float:
-        bins = bin_of(folded_values, bin_edges(folded_values, part, bin_count(blocks)))
-        return best_sign(part, bins, {"velocity": sign}).explained
+        bins = bin_of(folded_values, bin_edges(folded_values, difference, bin_count(block_count)))
+        return best_sign(difference, bins, {"velocity": sign}).explained
 
     within_turn = quantity == "angle" and repeats(series, periods, explained)
     shown_values = fold_angle(series, 1.0) if within_turn else series
@@ -224,10 +237,10 @@ def smallest_region(group: Sequence[tuple[Record, Compared]]) -> tuple[Region | 
         interval = narrowest_interval(np.concatenate(values), np.concatenate(squares))
         if interval is None:
             continue
-        low, high, share, part = interval
-        if part < MOST_REGION_DATA and (best is None or part < best[0]):
+        low, high, share, data_share = interval
+        if data_share < MOST_REGION_DATA and (best is None or data_share < best[0]):
             units = OTHER_UNITS.get(variable, UNITS.get(variable, ""))
-            best = (part, Region(variable, low, high, units), share)
+            best = (data_share, Region(variable, low, high, units), share)
     return (None, 0.0) if best is None else (best[1], best[2])
 
 
@@ -262,18 +275,22 @@ def variable_of(record: Record, channel: Compared, variable: str) -> Array | Non
 
 
 def speed_of(clock: Clocked) -> Array | None:
-    """Return the smoothed speed of the angle; None where the clock has no angle."""
+    """Return the smoothed speed of the angle [rad/s]; None where the clock has no angle."""
     angle = clock.get("angle")
     return smooth(speeds(angle, clock.interval), 4.0) if angle is not None else None
 
 
 def time_since_reversal(speed: Array, interval: float) -> Array:
-    """Return the time [s] since the sign of the speed last changed."""
+    """Return at each sample the time [s] since the sign of the speed last changed, or since the first sample."""
     return np.asarray((np.arange(len(speed)) - last_reversal(speed)) * interval, np.float64)
 
 
 def narrowest_interval(values: Array, squares: Array) -> tuple[float, float, float, float] | None:
-    """Return low, high, share of squares and share of data of the shortest interval with most of the squares."""
+    """Return low, high, share of squares and share of samples of the interval that holds most of the squares.
+
+    It is the one with the fewest samples among those with `REGION_SHARE` of the squares; None if the variable is
+    constant, or the squares are zero.
+    """
     order = np.argsort(values, kind="stable")
     ordered = values[order]
     cumulative = np.concatenate([[0.0], np.cumsum(squares[order])])

@@ -13,7 +13,7 @@ from leactl.gap.verdict.shrinkage import Shrunk
 from leactl.model.nominal import Model
 
 GAP_GROWS = "with it the gap of held-out runs grows"
-MOST_EQUAL_RATIO = 1.001  # ratio of squared distances up to which they count as equal: replays vary by as much
+MOST_EQUAL_RATIO = 1.001  # ratio of squared distances up to which two count as equal: replays vary by as much
 # a limit of the drive closes this share of the current's gap or more; laws that resemble it close less
 LEAST_LIMIT_SHARE = 0.9
 Simulate = Callable[[Model, Model], Shrunk]
@@ -36,7 +36,7 @@ class HeldOutTrial(NamedTuple):
 
     fitted: FittedEffects
     model: Model  # with the effects
-    comparison: Shrunk  # with the model without them
+    comparison: Shrunk  # of the model without the effects and with them
     refused_because: str  # empty where held-out runs confirm the effects
 
 
@@ -50,37 +50,40 @@ class HeldOutTrials:
     bounded_fit: bool
     borne_out_by_equations: Collection[str]
 
-    def beside(self, kept: FittedEffects, model_before: Model, stage: Sequence[Cause]) -> HeldOutTrial:
-        """Try effects in addition to the accepted ones.
+    def beside(self, accepted: FittedEffects, model_before: Model, stage: Sequence[Cause]) -> HeldOutTrial:
+        """Return the trial of effects in addition to the accepted ones.
 
         If the gap grows with the calibration fitted beside them, they are tried again with the accepted calibration.
 
-        kept : effects and calibration accepted so far.
+        accepted : effects and calibration accepted so far.
         model_before : model with these alone.
+        stage : effects to try together.
         """
-        fitted = self.refit([*kept.causes, *stage])
+        fitted = self.refit([*accepted.causes, *stage])
         equations_bear_out = all(cause.effect in self.borne_out_by_equations for cause in stage)
         limits_current = any(library()[cause.effect].limits_current for cause in stage)
-        try_with = partial(
-            self._of,
+        trial_with = partial(
+            self._trial_of,
             model_before=model_before,
-            beside_others=bool(kept.causes),
+            beside_others=bool(accepted.causes),
             equations_bear_out=equations_bear_out,
             limits_current=limits_current,
         )
-        trial = try_with(fitted)
+        trial = trial_with(fitted)
         if trial.refused_because == GAP_GROWS:
-            trial = try_with(fitted._replace(calibration=kept.calibration))
+            trial = trial_with(fitted._replace(calibration=accepted.calibration))
         return trial
 
-    def is_needed(self, stage: Sequence[Cause], whole: HeldOutTrial) -> bool:
+    def is_needed(self, stage: Sequence[Cause], trial_of_all: HeldOutTrial) -> bool:
         """Return whether effects close a gap in addition to all others of a trial."""
-        dropped = {cause.effect for cause in stage}
-        fitted_without = self.refit([cause for cause in whole.fitted.causes if cause.effect not in dropped])
-        comparison = self.simulate(with_fitted(self.model, fitted_without), whole.model)
+        dropped_effects = {cause.effect for cause in stage}
+        fitted_without = self.refit(
+            [cause for cause in trial_of_all.fitted.causes if cause.effect not in dropped_effects]
+        )
+        comparison = self.simulate(with_fitted(self.model, fitted_without), trial_of_all.model)
         return not refusal(comparison, [], beside_others=True, equations_bear_out=False)
 
-    def _of(
+    def _trial_of(
         self,
         fitted: FittedEffects,
         model_before: Model,
@@ -88,6 +91,10 @@ class HeldOutTrials:
         equations_bear_out: bool,
         limits_current: bool,
     ) -> HeldOutTrial:
+        """Return the trial of some effects with their calibration, against the model before them.
+
+        limits_current : whether one of the effects is a limit of the drive, which `refusal_of_limit` tests in addition.
+        """
         model_after = with_fitted(self.model, fitted)
         comparison = self.simulate(model_before, model_after)
         bounds = names_at_bound(fitted.calibration) if self.bounded_fit else []
@@ -99,7 +106,7 @@ class HeldOutTrials:
 
 @dataclass(frozen=True)
 class Applied:
-    """Models that held-out runs do not contradict, and what was withdrawn."""
+    """Models that held-out runs do not contradict, and the effects that were withdrawn."""
 
     calibrated: Model
     augmented: Model
@@ -112,26 +119,27 @@ class Applied:
 
 def apply(
     model: Model,
-    without_effects: Sequence[CalibratedParameter],
+    calibration_alone: Sequence[CalibratedParameter],
     stages: Sequence[Sequence[Cause]],
     refit: Refit,
     simulate: Simulate,
     bounded_fit: bool = True,
     borne_out_by_equations: Collection[str] = (),
 ) -> Applied:
-    """Apply calibration and named effects to the model as far as held-out runs confirm them.
+    """Return the models with calibration and named effects, as far as held-out runs confirm them.
 
     Parameters
     ----------
-    without_effects : parameters fitted without any effect.
-    stages : named effects, most probable first: each stage has to close a gap in addition to those before it.
+    calibration_alone : parameters fitted without any effect.
+    stages : named effects, most probable first: each stage has to close a gap in addition to the accepted ones.
+    refit, simulate : see `Refit` and `Simulate`.
     borne_out_by_equations : names of effects that shrink the equations' residuals in held-out runs beyond chance.
     bounded_fit : whether a parameter at its bound counts against a trial; it does not in the free runs of a servo,
         which determine some parameters by their ratio only.
     """
     trials = HeldOutTrials(model, refit, simulate, bounded_fit, borne_out_by_equations)
-    fitted, calibrated = FittedEffects((), tuple(without_effects)), with_calibration(model, without_effects)
-    augmented, borne_out = calibrated, list[HeldOutTrial]()
+    fitted, calibrated = FittedEffects((), tuple(calibration_alone)), with_calibration(model, calibration_alone)
+    augmented, confirmed_trials = calibrated, list[HeldOutTrial]()
     pending, accepted, refusals = list(stages), list[Sequence[Cause]](), list[str]()
     while len(refusals) < len(pending):  # after each acceptance all refused ones are tried again
         index = len(refusals)
@@ -139,14 +147,14 @@ def apply(
         if trial.refused_because:
             refusals.append(trial.refused_because)
             continue
-        borne_out.append(trial)
+        confirmed_trials.append(trial)
         fitted, augmented = trial.fitted, trial.model
         accepted.append(pending.pop(index))
         refusals.clear()
-    if len(pending) > 1:  # effects that close a gap together may each enlarge it alone
+    if len(pending) > 1:  # effects that close a gap together may each enlarge the gap alone
         trial = trials.beside(fitted, augmented, [cause for stage in pending for cause in stage])
         if not trial.refused_because and all(trials.is_needed(stage, trial) for stage in pending):
-            borne_out.append(trial)
+            confirmed_trials.append(trial)
             fitted, augmented = trial.fitted, trial.model
             accepted += pending
             pending, refusals = [], []
@@ -156,16 +164,16 @@ def apply(
         for stage, reason_refused in zip(pending, refusals, strict=True)
         for cause in stage
     )
-    if borne_out:
-        shrunk = borne_out[0].comparison if len(borne_out) == 1 else simulate(calibrated, augmented)
-        withdrawn = calibration_worse(shrunk)
-        if withdrawn:  # the calibration fitted with the effects does not absorb them
+    if confirmed_trials:
+        shrunk = confirmed_trials[0].comparison if len(confirmed_trials) == 1 else simulate(calibrated, augmented)
+        first_calibration_withdrawn = calibration_worse(shrunk)
+        if first_calibration_withdrawn:  # the calibration fitted with the effects does not absorb them
             reason = "it takes up what the effects do, and the gap grows with it"
             calibrated = with_calibration(model, fitted.calibration)
-            shrunk, applied = simulate(calibrated, augmented), "the one beside the effects stands for it"
+            shrunk, consequence = simulate(calibrated, augmented), "the one beside the effects stands for it"
             if calibration_worse(shrunk):
-                calibrated, shrunk, applied = model, simulate(model, augmented), "the model stays as it was given"
-            notes.append(f"calibration alone is not applied: {reason}; {applied}")
+                calibrated, shrunk, consequence = model, simulate(model, augmented), "the model stays as it was given"
+            notes.append(f"calibration alone is not applied: {reason}; {consequence}")
             if farther_with_effects(shrunk):
                 # The effects were accepted beside the old calibration and fail beside this one: drop one stage at a
                 # time, try the others again beside this one, and keep what comes nearest to the held-out runs.
@@ -173,17 +181,17 @@ def apply(
                     apply, model, fitted.calibration, refit=refit, simulate=simulate,
                     bounded_fit=bounded_fit, borne_out_by_equations=borne_out_by_equations,
                 )  # fmt: skip
-                tried = [(stage, apply_again(stages=all_but(stages, stage))) for stage in accepted]
-                dropped, nearest = min(
-                    tried, key=lambda pair: squares(pair[1].shrunk, "augmented_rms", LEAST_GAP_FLOORS)
+                trials_without_stage = [(stage, apply_again(stages=all_but(stages, stage))) for stage in accepted]
+                dropped_stage, nearest = min(
+                    trials_without_stage, key=lambda pair: squares(pair[1].shrunk, "augmented_rms", LEAST_GAP_FLOORS)
                 )
                 return replace(
                     nearest,
-                    notes=(*nearest.notes, notes[-1], refusal_note(dropped, GAP_GROWS)),
-                    refused=(*nearest.refused, *(Near(cause.effect, GAP_GROWS) for cause in dropped)),
+                    notes=(*nearest.notes, notes[-1], refusal_note(dropped_stage, GAP_GROWS)),
+                    refused=(*nearest.refused, *(Near(cause.effect, GAP_GROWS) for cause in dropped_stage)),
                 )
-        return Applied(calibrated, augmented, fitted, shrunk, withdrawn, tuple(notes), refused)
-    parameters_at_bound = names_at_bound(without_effects) if bounded_fit else []
+        return Applied(calibrated, augmented, fitted, shrunk, first_calibration_withdrawn, tuple(notes), refused)
+    parameters_at_bound = names_at_bound(calibration_alone) if bounded_fit else []
     if not parameters_at_bound:
         shrunk = simulate(calibrated, calibrated)
         if not calibration_worse(shrunk):
@@ -194,7 +202,7 @@ def apply(
 
 
 def with_fitted(model: Model, fitted: FittedEffects) -> Model:
-    """Return the model with a calibration and effects."""
+    """Return the model with effects and the calibration fitted together with them."""
     entries = [(cause.effect, {item.name: item.value for item in cause.parameters}) for cause in fitted.causes]
     return with_effects(with_calibration(model, fitted.calibration), entries)
 
@@ -229,10 +237,14 @@ def farther_with_effects(shrunk: Shrunk) -> bool:
     return math.isnan(augmented) or augmented > min(nominal, calibrated)
 
 
-def squares(shrunk: Shrunk, model: str, least: float = 0.0) -> float:
-    """Return the squared distance of a model from held-out runs, summed over channels in units of their floors."""
-    lines = [line for line in shrunk.shrinkage if line.floor_rms > 0.0]
-    return sum(max(float(getattr(line, model)) / line.floor_rms, least) ** 2 for line in lines)
+def squares(shrunk: Shrunk, field: str, least_floors: float = 0.0) -> float:
+    """Return the squared distance of a model from held-out runs, summed over channels in units of their floors.
+
+    field : name of the field of `Shrinkage` that holds the model's distance.
+    least_floors : smallest distance of a channel, in floors; a smaller one counts as this.
+    """
+    channels = [channel for channel in shrunk.shrinkage if channel.floor_rms > 0.0]
+    return sum(max(float(getattr(channel, field)) / channel.floor_rms, least_floors) ** 2 for channel in channels)
 
 
 def refusal(shrunk: Shrunk, at_bound: Sequence[str], beside_others: bool, equations_bear_out: bool) -> str:
@@ -241,6 +253,10 @@ def refusal(shrunk: Shrunk, at_bound: Sequence[str], beside_others: bool, equati
     In addition to other effects, an effect has to pass both tests of `Growth`. A replay accumulates every small error
     of its motion, which may hide a small effect, and a still smaller one is below the replay's floor. An effect that
     the equations of held-out runs show beyond chance is confirmed where the replay's gap does not grow.
+
+    at_bound : parameters whose fit ended at a bound.
+    beside_others : whether both models have other effects.
+    equations_bear_out : whether the equations of held-out runs show every one of the effects beyond chance.
     """
     if at_bound:
         return f"calibration beside it ends at a bound ({', '.join(at_bound)})"
@@ -253,7 +269,7 @@ def refusal(shrunk: Shrunk, at_bound: Sequence[str], beside_others: bool, equati
         return "with it no gap of held-out runs shrinks beyond chance"
     if beside_others and shrunk.growth.closed_alike is False and not equations_bear_out:
         return "beside the others it shrinks the gap of few stretches of held-out runs, or of many by next to nothing"
-    # runs too short to judge chance have to show at least that it shrinks
+    # runs too short to judge chance have to show at least that the gap shrinks
     undecided = shrunk.growth.closed is None and not shrunk.growth.by_effects[0] < 0.0
     return "with it no gap of held-out runs shrinks" if undecided else ""
 
@@ -264,11 +280,11 @@ def refusal_of_limit(shrunk: Shrunk) -> str:
     A limit that acts determines the current alone, so that it closes nearly all of the current's gap. A law that
     resembles the limit, such as that of a supply at its voltage limit, closes a part.
     """
-    for line in shrunk.shrinkage:
-        if line.quantity != "q_axis_current" or line.closed is None or not line.floor_rms > 0.0:
+    for channel in shrunk.shrinkage:
+        if channel.quantity != "q_axis_current" or channel.closed is None or not channel.floor_rms > 0.0:
             continue
-        if line.augmented_rms > MOST_REPLAY_MISS * line.floor_rms and line.closed < LEAST_LIMIT_SHARE:
-            share = f"{100 * max(line.closed, 0.0):.1f} % of the current's gap, {line.mechanical}"
+        if channel.augmented_rms > MOST_REPLAY_MISS * channel.floor_rms and channel.closed < LEAST_LIMIT_SHARE:
+            share = f"{100 * max(channel.closed, 0.0):.1f} % of the current's gap, {channel.mechanical}"
             return f"it closes {share}; a limit of the drive closes {100 * LEAST_LIMIT_SHARE:.0f} % or more"
     return ""
 
