@@ -299,6 +299,6 @@ def test_stretches_of_any_length_begin_within_the_run_and_reach_its_end(length):
     samples, parts = 546, 80
     job = SimpleNamespace(clock=SimpleNamespace(time=np.arange(samples)), parts=parts)
     cut = CutJob(job, 0, 1, samples, np.zeros((samples - 1) * parts + 1), None, None)
-    cut.take_length(length)
+    cut.set_length(length)
     assert cut.length * (cut.count - 1) <= samples - 1 < cut.length * cut.count + 1
     assert cut.cut(cut.drive, np.arange(cut.count)).shape == (length * parts, cut.count)

@@ -15,7 +15,7 @@ __all__ = ["Job", "plant_of", "replay", "replay_all"]
 
 
 def replay(record: Record, model: Model) -> Job:
-    """Replay one run through one model; `fast` and `slow` of the job hold the readings of its channels.
+    """Return the replay of one run through one model; `fast` and `slow` of the job hold the readings of its channels.
 
     Raises
     ------
@@ -27,7 +27,7 @@ def replay(record: Record, model: Model) -> Job:
 
 
 def replay_all(jobs: Sequence[Job]) -> None:
-    """Replay many runs and benches side by side."""
+    """Replay many runs and benches side by side; the results are written into the jobs."""
     moving = [job for job in jobs if job.record.fast is not None]
     for job in moving:
         compute_current(job)

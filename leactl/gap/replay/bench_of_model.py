@@ -12,7 +12,7 @@ def plant_of(model: Model) -> Plant:
 
     Raises
     ------
-    InputError : an effect lacks a parameter; one line each.
+    InputError : an effect lacks a parameter; one line for each.
     """
     if faults := [fault for entry in model.effects for fault in _missing_parameters(model, entry)]:
         raise InputError(faults)
@@ -23,6 +23,7 @@ def plant_of(model: Model) -> Plant:
 
 
 def _missing_parameters(model: Model, entry: EffectEntry) -> list[str]:
+    """Return one message for each parameter without a default that an effect of a model lacks."""
     missing = [
         name
         for name, definition in effect_definition(entry.effect).parameters.items()

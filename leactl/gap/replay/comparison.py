@@ -31,8 +31,8 @@ class Compared:
     quantity: str
     role: str
     time: Array  # s since the run's start
-    index: npt.NDArray[np.intp]  # sample of its clock
-    block: npt.NDArray[np.intp]
+    index: npt.NDArray[np.intp]  # position of each sample on its clock
+    block: npt.NDArray[np.intp]  # number of the block that each sample lies in
     measured: Array
     replayed: tuple[Array, ...]  # one for each model
     disturbed: Array  # replay of the last model with noise added to start and inputs
@@ -49,25 +49,29 @@ class Compared:
 
 
 def compare(record: Record, jobs: Sequence[Job], disturbed: Job) -> list[Compared]:
-    """Compare every channel that all replays of a run determine."""
-    compared = []
-    swung = fast_signals(record, jobs[0].plant.model, None) if record.mechanical == "locked" else None
+    """Return every channel that all replays of a run determine, compared with these.
+
+    jobs : replays by models.
+    disturbed : replay by the last model with noise added to start and inputs.
+    """
+    channels = []
+    locked_signals = fast_signals(record, jobs[0].plant.model, None) if record.mechanical == "locked" else None
     for name, clock in (("fast", record.fast), ("slow", record.slow)):
         if clock is None:
             continue
-        answers = [getattr(job, name) for job in (*jobs, disturbed)]
-        for key in answers[0]:
+        replays = [getattr(job, name) for job in (*jobs, disturbed)]
+        for key in replays[0]:
             values = measured_channel(clock, key)
-            if values is not None and all(key in answer for answer in answers):
-                rows = [answer[key] for answer in answers]
-                moved = key[0] in ("velocity", "torque", "q_axis_voltage")
-                restarts = moved and any(job.restarts for job in jobs)
-                keep = np.all(np.isfinite(rows), axis=0)
-                if swung is not None and key[0] in ("velocity", "torque"):
-                    keep &= swung.unleapt  # after a leap the rotor's sliding is unknown to any replay
-                channel = _compared(record, clock, key, values, rows, keep, restarts)
-                compared += [channel] if channel is not None else []
-    return compared
+            if values is not None and all(key in answer for answer in replays):
+                replayed = [answer[key] for answer in replays]
+                restarts_with_motion = key[0] in ("velocity", "torque", "q_axis_voltage")
+                restarts = restarts_with_motion and any(job.restarts for job in jobs)
+                mask = np.all(np.isfinite(replayed), axis=0)
+                if locked_signals is not None and key[0] in ("velocity", "torque"):
+                    mask &= locked_signals.unleapt  # after a leap the rotor's sliding is unknown to any replay
+                channel = _compared(record, clock, key, values, replayed, mask, restarts)
+                channels += [channel] if channel is not None else []
+    return channels
 
 
 def measured_channel(clock: Clocked, key: Key) -> Array | None:
@@ -79,16 +83,20 @@ def measured_channel(clock: Clocked, key: Key) -> Array | None:
 
 
 def _compared(
-    record: Record, clock: Clocked, key: Key, values: Array, rows: list[Array], keep: Mask, restarts: bool
+    record: Record, clock: Clocked, key: Key, values: Array, replayed: list[Array], mask: Mask, restarts: bool
 ) -> Compared | None:
-    keep &= clock.all_valid(key if key in clock.values else ("angle", "test"))
-    index = np.flatnonzero(keep)
+    """Return a channel with its replays at the samples of a mask that are valid; None for fewer than two samples.
+
+    replayed : replays by the models, then the disturbed replay.
+    """
+    mask &= clock.all_valid(key if key in clock.values else ("angle", "test"))
+    index = np.flatnonzero(mask)
     if len(index) < 2:
         return None
-    residuals = [values[index] - row[index] for row in rows[:-1]]
+    residuals = [values[index] - values_of_replay[index] for values_of_replay in replayed[:-1]]
     time = clock.since_begin
-    length = BLOCK_S if clock is record.fast else max(BLOCK_S, float(time[-1]) / FEWEST_BLOCKS)
-    block = (time[index] / length).astype(np.intp)
+    block_duration = BLOCK_S if clock is record.fast else max(BLOCK_S, float(time[-1]) / FEWEST_BLOCKS)
+    block = (time[index] / block_duration).astype(np.intp)
     noise = max(noise_of_residuals(values[index], residuals), quantum_of(values) / math.sqrt(12.0))
     return Compared(
         run=record.name,
@@ -100,15 +108,15 @@ def _compared(
         index=index,
         block=block,
         measured=values[index],
-        replayed=tuple(row[index] for row in rows[:-1]),
-        disturbed=rows[-1][index],
+        replayed=tuple(values_of_replay[index] for values_of_replay in replayed[:-1]),
+        disturbed=replayed[-1][index],
         noise=float(noise),
         restarts=restarts,
     )
 
 
 def noise_of_residuals(values: Array, residuals: Sequence[Array]) -> float:
-    """Return the noise of a channel from the residuals of its replays; zero where no log resolves it from none."""
+    """Return the noise of a channel from the residuals of its replays; zero below the resolution of a float32 log."""
     noise = min(fast_noise(residual) for residual in residuals)
     # the output of a filter dies away to nothing after a motion, in steps that are no noise
     return noise if noise > RELATIVE_RESOLUTION * float(np.max(np.abs(values))) else 0.0
@@ -119,8 +127,8 @@ def fast_noise(values: Array) -> float:
 
     Filters of a channel reach no further than these samples; a model's error in some stretches is no noise.
     """
-    steps = np.abs(values[NOISE_LAG:] - values[:-NOISE_LAG])
-    if len(steps) == 0:
+    changes = np.abs(values[NOISE_LAG:] - values[:-NOISE_LAG])
+    if len(changes) == 0:
         return 0.0
-    parts = np.array_split(steps, max(1, len(steps) // NOISE_STRETCH))
-    return float(np.median([np.median(part) for part in parts]) / (0.6745 * np.sqrt(2.0)))
+    stretches = np.array_split(changes, max(1, len(changes) // NOISE_STRETCH))
+    return float(np.median([np.median(stretch) for stretch in stretches]) / (0.6745 * np.sqrt(2.0)))

@@ -16,10 +16,11 @@ from leactl.gap.signals.rig import load_of, voltage_feed
 from leactl.gap.signals.smoothing import smooth
 from leactl.gap.signals.stamps import restamped
 
-BALANCE_EQUATIONS = {"free": "free_torque", "coupled": "coupled_torque"}  # by set-up: determines the current's stamps
+# by set-up: the equation that determines the stamps of the current
+BALANCE_EQUATIONS = {"free": "free_torque", "coupled": "coupled_torque"}
 RESTART_S = 1.0  # s, stretch of a turning rotor: its angle is an integral and would drift
 TRACKING_SAMPLES = 20.0  # samples, time constant with which a tracked rotor is kept near its motion
-FEWEST_TRACKING_TIMES = 12.0  # of these time constants in a stretch: at its end its start has no influence
+FEWEST_TRACKING_TIMES = 12.0  # tracking time constants in a stretch: at its end its start has no influence
 LOCKED_STRETCH_S = 0.25  # s, stretch of a locked rotor
 TOOTH_PHASE = 0.3  # rad, phase of the resonance of meshing teeth in a step: as rigid as steps can resolve
 TOOTH_DAMPING = 0.5 / TOOTH_PHASE  # damping ratio with which one step removes all of the speed with which teeth meet
@@ -33,10 +34,10 @@ class CutJob:
     job: Job
     first: int  # sample at which the first stretch begins
     length: int  # samples in a stretch
-    count: int
+    count: int  # number of stretches
     drive: Array  # N*m at the instants, or rad where a position servo drives
-    load_drive: Array | None
-    share: Array | None
+    load_drive: Array | None  # N*m, at the instants
+    share: Array | None  # factor on the friction, at the instants
     target: Array | None = None  # rad, at the instants, motion that a tracked rotor is kept near
     target_speed: Array | None = None  # rad/s
 
@@ -45,22 +46,31 @@ class CutJob:
         """Sub-steps in a stretch."""
         return self.length * self.job.parts
 
-    def take_length(self, length: int) -> None:
+    def set_length(self, length: int) -> None:
         """Cut the job into stretches of `length` samples, up to its end."""
         self.length, self.count = length, stretch_count(self.job, self.first, length)
 
     def cut(self, values: Array, lanes: Index) -> Array:
-        """Return values at the instants of some stretches, (steps, lanes), held constant beyond the run's end."""
+        """Return values at the instants of some stretches, shape (steps, lanes), held constant beyond the run's end.
+
+        values : at the instants of the whole run.
+        lanes : numbers of the stretches.
+        """
         begin = self.first * self.job.parts
-        missing = begin + self.count * self.steps - len(values)
-        padded = np.concatenate([values[begin:], np.full(max(missing, 0), values[-1])])[: self.count * self.steps]
+        missing_count = begin + self.count * self.steps - len(values)
+        padded = np.concatenate([values[begin:], np.full(max(missing_count, 0), values[-1])])[: self.count * self.steps]
         return np.ascontiguousarray(padded.reshape(self.count, self.steps)[lanes].T)
 
-    def put(self, name: str, values: Array, lanes: Index) -> None:
-        """Write the values of some stretches into an attribute of the job, held constant before the first stretch."""
-        begin, total = self.first * self.job.parts, (len(self.job.clock.time) - 1) * self.job.parts + 1
+    def write(self, name: str, values: Array, lanes: Index) -> None:
+        """Write the values of some stretches into an attribute of the job, held constant before the first stretch.
+
+        name : attribute of `Job`.
+        values : shape (steps, lanes).
+        lanes : numbers of the stretches.
+        """
+        begin, instant_count = self.first * self.job.parts, (len(self.job.clock.time) - 1) * self.job.parts + 1
         column = getattr(self.job, name) if len(lanes) < self.count else None
-        if column is None or len(column) < total:
+        if column is None or len(column) < instant_count:
             column = np.zeros(begin + self.count * self.steps)
         table = column[begin:].reshape(self.count, self.steps)
         table[lanes] = values.T
@@ -69,31 +79,34 @@ class CutJob:
 
 
 def cut_job(job: Job, kind: str) -> CutJob:
-    """Cut a job into stretches and compute its inputs."""
+    """Return a job cut into stretches, with its inputs.
+
+    kind : how it is stepped, as `stepping_kind` returns it.
+    """
     clock, plant, parts = job.clock, job.plant, job.parts
-    samples = len(clock.time)
+    sample_count = len(clock.time)
     course = job.course()
-    magnets = np.ones(samples)
+    magnet_share = np.ones(sample_count)
     for share_of in plant.magnet_share:
-        magnets = magnets * share_of(course)
-    drive = angle_set_point(job) if kind == "servo" else drive_torque(job, magnets)
-    share = None
+        magnet_share = magnet_share * share_of(course)
+    drive = angle_set_point(job) if kind == "servo" else drive_torque(job, magnet_share)
+    friction_share = None
     if plant.friction_share:
-        share = np.ones(samples)
+        friction_share = np.ones(sample_count)
         for share_of_friction in plant.friction_share:
-            share = share * share_of_friction(course)
-        share = interpolate_steps(share, parts)
+            friction_share = friction_share * share_of_friction(course)
+        friction_share = interpolate_steps(friction_share, parts)
     load_drive = None
     if job.record.mechanical == "coupled":
         load_current = measured_over_steps(job, "load")
         assert load_current is not None
         load_drive = (plant.model.torque_constant or 0.0) * load_current[0]
-    begin = 0 if kind == "locked" else half_window(job)
+    first_sample = 0 if kind == "locked" else half_window(job)
     tracked_s = max(RESTART_S, FEWEST_TRACKING_TIMES * TRACKING_SAMPLES * clock.interval)
-    seconds = {"locked": LOCKED_STRETCH_S, "turning": RESTART_S, "tracked": tracked_s}.get(kind)
-    length = samples if seconds is None else max(1, round(seconds / clock.interval))
-    job.first = begin
-    cut = CutJob(job, begin, length, stretch_count(job, begin, length), drive, load_drive, share)
+    stretch_duration = {"locked": LOCKED_STRETCH_S, "turning": RESTART_S, "tracked": tracked_s}.get(kind)
+    length = sample_count if stretch_duration is None else max(1, round(stretch_duration / clock.interval))
+    job.first = first_sample
+    cut = CutJob(job, first_sample, length, stretch_count(job, first_sample, length), drive, load_drive, friction_share)
     if kind == "tracked":
         cut.target, cut.target_speed = smooth_motion(job)
     return cut
@@ -118,7 +131,7 @@ def smooth_motion(job: Job) -> tuple[Array, Array]:
 
 
 def angle_set_point(job: Job) -> Array:
-    """Return a servo's angle set-point, held until the next sample; NaN while the drive is disabled."""
+    """Return a servo's angle set-point [rad] at the instants; NaN while the drive is disabled."""
     reference, enabled = job.clock.values["angle_reference", "test"], job.clock.get("drive_enabled")
     set_point = np.append(np.repeat(reference[:-1], job.parts), reference[-1])
     for transform in (*job.plant.loop_answer, *job.plant.set_point):
@@ -131,69 +144,78 @@ def angle_set_point(job: Job) -> Array:
     return np.asarray(set_point, np.float64)
 
 
-def drive_torque(job: Job, magnets: Array) -> Array:
-    """Return the torque of the test drive at the instants, from voltage or current, else as logged."""
-    constant = job.plant.model.torque_constant
-    if (fed := voltage_torque(job)) is not None:
-        return np.append(fed[:1], np.repeat(fed[1:], job.parts))
-    if job.current is None or constant is None:
+def drive_torque(job: Job, magnet_share: Array) -> Array:
+    """Return the torque of the test drive [N*m] at the instants, from voltage or current, else as logged.
+
+    magnet_share : factor on the torque constant at each sample.
+    """
+    torque_constant = job.plant.model.torque_constant
+    if (fed_torque := voltage_torque(job)) is not None:
+        return np.append(fed_torque[:1], np.repeat(fed_torque[1:], job.parts))
+    if job.current is None or torque_constant is None:
         logged = logged_torque(job)
         assert logged is not None
         # a logged force has the offset of the drive's current
-        logged = logged - (constant or 1.0) * job.plant.current_offset
+        logged = logged - (torque_constant or 1.0) * job.plant.current_offset
         return np.append(logged[:1], np.repeat(logged[1:], job.parts))
-    flowing = restamped(
+    stamped_current = restamped(
         job.current, job.clock.stamping.get(BALANCE_EQUATIONS.get(job.record.mechanical, "")), job.parts
     )
-    torque = constant * interpolate_steps(magnets, job.parts) * flowing
-    for saturates in job.plant.torque_share:
-        torque = torque * saturates(flowing)
+    torque = torque_constant * interpolate_steps(magnet_share, job.parts) * stamped_current
+    for saturation_share in job.plant.torque_share:
+        torque = torque * saturation_share(stamped_current)
     return torque
 
 
 def voltage_torque(job: Job) -> Array | None:
-    """Return the torque of the logged voltage in a motor at rest; None where no voltage drives the run."""
-    fed = voltage_feed(job.record, job.plant.model)
-    if fed is None:
+    """Return the torque [N*m] at each sample of the logged voltage in a motor at rest; None where no voltage drives."""
+    feed = voltage_feed(job.record, job.plant.model)
+    if feed is None:
         return None
-    return fed.gain * restamped(job.clock.values["q_axis_voltage", "test"], job.clock.stamping.get("axis_torque"))
+    return feed.gain * restamped(job.clock.values["q_axis_voltage", "test"], job.clock.stamping.get("axis_torque"))
 
 
 def logged_torque(job: Job) -> Array | None:
-    """Return the torque reference, else the torque, that a free drive logs instead of a current; None without one."""
+    """Return the torque reference, else the torque, that a free drive logs instead of a current, else None."""
     if job.record.mechanical != "free":
         return None
     reference = job.clock.get("torque_reference")
     return reference if reference is not None else job.clock.get("torque")
 
 
-def lanes_of(cuts: Sequence[CutJob], picked: Sequence[Index]) -> Lanes:
-    """Return some stretches of every cut as lanes."""
+def lanes_of(cuts: Sequence[CutJob], stretches: Sequence[Index]) -> Lanes:
+    """Return some stretches of every job as lanes.
+
+    stretches : numbers of the stretches of each job.
+    """
     plants: list[tuple[Plant, slice]] = []
-    lane = 0
-    for cut, lanes in zip(cuts, picked, strict=True):
+    first_lane = 0
+    for cut, lanes in zip(cuts, stretches, strict=True):
         if plants and plants[-1][0] is cut.job.plant:
-            plants[-1] = (cut.job.plant, slice(plants[-1][1].start, lane + len(lanes)))
+            plants[-1] = (cut.job.plant, slice(plants[-1][1].start, first_lane + len(lanes)))
         else:
-            plants.append((cut.job.plant, slice(lane, lane + len(lanes))))
-        lane += len(lanes)
+            plants.append((cut.job.plant, slice(first_lane, first_lane + len(lanes))))
+        first_lane += len(lanes)
 
     def per_lane(values: Iterable[float]) -> Array:
-        return np.concatenate([np.full(len(lanes), v) for v, lanes in zip(values, picked, strict=True)])
+        """Return one value for each lane, from one for each job."""
+        return np.concatenate([np.full(len(lanes), value) for value, lanes in zip(values, stretches, strict=True)])
 
     def inputs(name: str, default: float) -> Array:
+        """Return an attribute of the jobs at every step, shape (steps, lanes)."""
         columns = []
-        for cut, lanes in zip(cuts, picked, strict=True):
+        for cut, lanes in zip(cuts, stretches, strict=True):
             values = getattr(cut, name)
-            full = (cut.steps, len(lanes))
-            columns.append(cut.cut(values, lanes) if values is not None else np.full(full, default))
+            shape = (cut.steps, len(lanes))
+            columns.append(cut.cut(values, lanes) if values is not None else np.full(shape, default))
         return np.concatenate(columns, axis=1)
 
     constants = [constants_of(cut.job) for cut in cuts]
     drive = inputs("drive", 0.0)
 
     def constant(name: str) -> Array:
-        return per_lane([c[name] for c in constants])
+        """Return one constant of the benches for each lane."""
+        return per_lane([constants_of_bench[name] for constants_of_bench in constants])
 
     servo = None
     if "servo_gain" in constants[0]:
@@ -220,7 +242,7 @@ def lanes_of(cuts: Sequence[CutJob], picked: Sequence[Index]) -> Lanes:
         plants=plants,
         drive=drive,
         load_drive=inputs("load_drive", 0.0) if any(has_two_ends(cut.job) for cut in cuts) else None,
-        friction_share=inputs("share", 1.0) if any(c.share is not None for c in cuts) else None,
+        friction_share=inputs("share", 1.0) if any(cut.share is not None for cut in cuts) else None,
         inertia=constant("inertia"),
         damping=constant("damping"),
         emf_damping=constant("emf_damping"),
@@ -249,15 +271,15 @@ def has_coupled_part(job: Job) -> bool:
 
 
 def constants_of(job: Job) -> dict[str, float]:
-    """Return the constants of a bench for the stepper; a run's own set-up replaces the model's."""
+    """Return the constants of a bench for the stepper, in SI units; a run's set-up replaces the model's."""
     model, record = job.plant.model, job.record
-    load, supply = load_of(record, model), voltage_feed(record, model)
+    load, feed = load_of(record, model), voltage_feed(record, model)
     inertia = (model.rotor_inertia or 0.0) + load.inertia
     load_damping, load_friction = load.frictions(model.viscous_damping, model.coulomb_friction)
     constants = {
         "inertia": inertia,
         "damping": model.viscous_damping or 0.0,
-        "emf_damping": supply.damping if supply is not None else 0.0,
+        "emf_damping": feed.damping if feed is not None else 0.0,
         "friction": model.coulomb_friction or 0.0,
         "load_inertia": np.inf if record.mechanical == "locked" else model.rotor_inertia or 0.0,
         "load_damping": load_damping,
@@ -268,47 +290,51 @@ def constants_of(job: Job) -> dict[str, float]:
         "hanging": load.hanging_angle,
     }
     if has_coupled_part(job):
-        constants |= parted_constants(constants, job)
-    rate = 1.0 / (TRACKING_SAMPLES * job.clock.interval)
+        constants |= split_rotor_constants(constants, job)
+    tracking_rate = 1.0 / (TRACKING_SAMPLES * job.clock.interval)
     moved_inertia = constants["inertia"] + (constants["load_inertia"] if has_two_ends(job) else 0.0)
     # the tracking spring must be strong against the back-EMF's braking
-    constants["tracking"] = moved_inertia * rate**2 + constants["emf_damping"] * rate if job.tracked else 0.0
-    constants["tracking_damping"] = 2.0 * moved_inertia * rate if job.tracked else 0.0
+    constants["tracking"] = (
+        moved_inertia * tracking_rate**2 + constants["emf_damping"] * tracking_rate if job.tracked else 0.0
+    )
+    constants["tracking_damping"] = 2.0 * moved_inertia * tracking_rate if job.tracked else 0.0
     if job.by_servo:
         assert model.drive is not None
-        constant = model.torque_constant or 0.0
+        torque_constant = model.torque_constant or 0.0
         constants |= {
             "servo_gain": record.setup.get("drive_gain", model.drive.gain),
             "servo_damping": model.drive.damping,
             "servo_limit": model.drive.voltage_limit,
             "resistance": model.phase_resistance or 0.0,
-            "torque_constant": constant,
-            "emf": model.back_emf_constant or constant,
+            "torque_constant": torque_constant,
+            "emf": model.back_emf_constant or torque_constant,
         }
     return constants
 
 
-def parted_constants(rotor: Mapping[str, float], job: Job) -> dict[str, float]:
+def split_rotor_constants(rotor: Mapping[str, float], job: Job) -> dict[str, float]:
     """Return the constants of a rotor with a coupled part of its inertia, from those of the rigid rotor.
 
-    A model with both a spring and teeth has one load, which is on the spring and behind the teeth.
+    A model with both a spring and teeth has one load, on the spring and behind the teeth.
+
+    rotor : constants of the rigid rotor.
     """
     spring, gear = job.plant.elastic_load, job.plant.geared_load
     share, friction_share = (
         max(spring.share if spring else 0.0, gear.share if gear else 0.0),
         gear.friction if gear else 0.0,
     )
-    load = share * rotor["inertia"]
+    load_inertia = share * rotor["inertia"]
     constants = {
-        "inertia": rotor["inertia"] - load,
+        "inertia": rotor["inertia"] - load_inertia,
         "damping": (1.0 - friction_share) * rotor["damping"],
         "friction": (1.0 - friction_share) * rotor["friction"],
-        "load_inertia": load,
+        "load_inertia": load_inertia,
         "load_damping": friction_share * rotor["damping"],
         "load_friction": friction_share * rotor["friction"],
     }
     if spring is not None:
-        constants["stiffness"] = load * (2.0 * np.pi * spring.frequency) ** 2
+        constants["stiffness"] = load_inertia * (2.0 * np.pi * spring.frequency) ** 2
         # ratio for the swing of both ends against each other, with the same damper
         constants["damping_ratio"] = spring.damping_ratio / np.sqrt(1.0 - share)
     else:

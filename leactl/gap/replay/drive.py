@@ -13,13 +13,13 @@ from leactl.gap.signals.stamps import restamped
 from leactl.gap.signals.voltage_ceiling import at_ceiling
 
 Array = npt.NDArray[np.float64]
-BUSIEST_SAMPLES = 2000  # number of samples with the largest changes, which show how a reference moves in between
+BUSIEST_SAMPLES = 2000  # number of samples with the largest changes, which show how a reference moves between samples
 ROUNDING_HOLD_S = 1.0  # s, longest time for which a rounding error stays the same
-RECOVERY_SAMPLES = 12  # samples around the voltage ceiling in which the loop still recovers
+RECOVERY_SAMPLES = 12  # samples on either side of the voltage ceiling in which the loop still recovers
 
 
 def compute_current(job: Job) -> None:
-    """Compute the current of the whole run; it does not depend on the motion, so it never restarts."""
+    """Write the current of the whole run into the job; it does not depend on the motion, so it never restarts."""
     clock, plant = job.clock, job.plant
     bandwidth = plant.model.bench.current_loop_bandwidth
     if clock.get("q_axis_current_reference") is not None:
@@ -28,23 +28,23 @@ def compute_current(job: Job) -> None:
             reference = with_setpoint_lead(reference, plant.model.bench, job.step)
         measured_current = clock.get("q_axis_current")
         # a run may begin during a transient
-        begin = reference[:1] if measured_current is None else measured_current[:1]
-        for becomes in plant.command:
-            reference = becomes(np.concatenate([begin, reference]), job.step)[1:]
+        initial_value = reference[:1] if measured_current is None else measured_current[:1]
+        for transform in plant.command:
+            reference = transform(np.concatenate([initial_value, reference]), job.step)[1:]
         if plant.command_at_speed and (speed := speed_over_steps(job)) is not None:
-            for becomes_at in plant.command_at_speed:
-                reference = becomes_at(reference, speed)
+            for transform_at_speed in plant.command_at_speed:
+                reference = transform_at_speed(reference, speed)
         reading, mean = response_over_steps(reference, reference[0], bandwidth, job.step)
-        for becomes in plant.loop_answer:
-            reading, mean = becomes(reading, job.step), becomes(mean, job.step)
+        for transform in plant.loop_answer:
+            reading, mean = transform(reading, job.step), transform(mean, job.step)
         stamp_weights = clock.stamping.get("current")
         reading, mean = restamped(reading, stamp_weights, job.parts), restamped(mean, stamp_weights, job.parts)
         reading, mean = with_measured_current(job, reading, mean)
     else:
-        flowing = measured_over_steps(job, "test")
-        if flowing is None:
+        measured_over_run = measured_over_steps(job, "test")
+        if measured_over_run is None:
             return
-        reading, mean = flowing
+        reading, mean = measured_over_run
     enabled = clock.get("drive_enabled")
     enabled_share = interpolate_steps(np.round(enabled), job.parts) if enabled is not None else np.ones_like(reading)
     job.current = enabled_share * (reading - plant.current_offset) / plant.current_gain
@@ -52,7 +52,7 @@ def compute_current(job: Job) -> None:
 
 
 def speed_over_steps(job: Job) -> Array | None:
-    """Return the measured speed over each sub-step [rad/s]; None where the run has none."""
+    """Return the measured speed over each sub-step [rad/s]; None where the run has neither angle nor velocity."""
     clock = job.clock
     angle, speed = clock.get("angle"), clock.get("velocity")
     if angle is not None:
@@ -61,16 +61,23 @@ def speed_over_steps(job: Job) -> Array | None:
 
 
 def with_measured_current(job: Job, reading: Array, mean: Array) -> tuple[Array, Array]:
-    """Replace the current by the measured one where the drive has no reference, or is at its voltage ceiling."""
+    """Return the current [A], measured where the drive has no reference or is at its voltage ceiling.
+
+    The samples at the ceiling are counted in the job.
+
+    reading : current at the instants of the sub-steps.
+    mean : current over each sub-step.
+    """
     unreferenced = job.clock.samples_without_reference("q_axis_current_reference")
-    flowing, at_limit = measured_over_steps(job, "test"), at_ceiling(job.clock, job.plant.model) & ~unreferenced
-    if flowing is None or not (at_limit | unreferenced).any():
+    measured, is_at_ceiling = measured_over_steps(job, "test"), at_ceiling(job.clock, job.plant.model) & ~unreferenced
+    if measured is None or not (is_at_ceiling | unreferenced).any():
         return reading, mean
-    job.at_ceiling = int(at_limit.sum())
-    use_measured = unreferenced | (np.convolve(at_limit, np.ones(2 * RECOVERY_SAMPLES + 1), "same") > 0)
-    steps = np.repeat(use_measured[1:], job.parts)
-    instants = np.concatenate([steps[:1], steps])
-    return np.where(instants, flowing[0], reading), np.where(steps, flowing[1], mean)
+    job.at_ceiling = int(is_at_ceiling.sum())
+    use_measured = unreferenced | (np.convolve(is_at_ceiling, np.ones(2 * RECOVERY_SAMPLES + 1), "same") > 0)
+    measured_at_instants, measured_means = measured
+    use_over_steps = np.repeat(use_measured[1:], job.parts)
+    use_at_instants = np.concatenate([use_over_steps[:1], use_over_steps])
+    return np.where(use_at_instants, measured_at_instants, reading), np.where(use_over_steps, measured_means, mean)
 
 
 def reference_between_samples(job: Job) -> Array:
@@ -87,11 +94,13 @@ def reference_between_samples(job: Job) -> Array:
     for name in ("velocity", "angle"):
         target, actual = clock.get(f"{name}_reference"), clock.get(name)
         if target is not None and actual is not None:
-            moved = np.stack([np.diff(target), np.diff(actual), (target - actual)[1:]], axis=1)
-            gain = float(np.linalg.lstsq(moved, np.diff(reference), rcond=None)[0][0])
-            begins = reference[:-1] + gain * moved[:, 0]
+            motion_changes = np.stack([np.diff(target), np.diff(actual), (target - actual)[1:]], axis=1)
+            gain = float(np.linalg.lstsq(motion_changes, np.diff(reference), rcond=None)[0][0])
+            values_after_jump = reference[:-1] + gain * motion_changes[:, 0]
             elapsed_share = (np.arange(parts) + 0.5) / parts
-            candidates.append((begins[:, None] + (reference[1:] - begins)[:, None] * elapsed_share).reshape(-1))
+            candidates.append(
+                (values_after_jump[:, None] + (reference[1:] - values_after_jump)[:, None] * elapsed_share).reshape(-1)
+            )
     if ("q_axis_current", "test") in clock.unstamped:
         return held_reference  # fitted weights of stamps of unknown meaning can represent a ramp
     if len(candidates) == 1 or clock.get("q_axis_current") is None:
@@ -100,49 +109,61 @@ def reference_between_samples(job: Job) -> Array:
 
 
 def misfit(job: Job, reference_over_steps: Array) -> float:
-    """Return the squared residual of the loop's response at its best delay, where the reference changes most."""
+    """Return the squared residual [A^2] of the loop's response at its best delay, where the reference changes most."""
     clock, parts = job.clock, job.parts
-    flowing, reference = (clock.values[name, "test"] for name in ("q_axis_current", "q_axis_current_reference"))
+    measured_current, reference = (
+        clock.values[name, "test"] for name in ("q_axis_current", "q_axis_current_reference")
+    )
     _, mean = response_over_steps(
         reference_over_steps, reference_over_steps[0], job.plant.model.bench.current_loop_bandwidth, job.step
     )
-    total = np.concatenate([[0.0], np.cumsum(mean)])
+    cumulative_response = np.concatenate([[0.0], np.cumsum(mean)])
     delays = np.arange(samples(MOST_DELAY, job.plant.model.bench, clock.interval) * parts)
-    begin = -(-len(delays) // parts) + 1
-    busiest = begin + np.argsort(-np.abs(np.diff(reference)[begin - 1 :]))[:BUSIEST_SAMPLES]
+    first_sample = -(-len(delays) // parts) + 1
+    busiest = first_sample + np.argsort(-np.abs(np.diff(reference)[first_sample - 1 :]))[:BUSIEST_SAMPLES]
     ends = busiest[:, None] * parts - delays
-    residual = flowing[busiest, None] - (total[ends] - total[ends - parts]) / parts
+    residual = measured_current[busiest, None] - (cumulative_response[ends] - cumulative_response[ends - parts]) / parts
     return float(np.min(np.sum(residual**2, axis=0)))
 
 
 def draw_rounding_error(job: Job) -> Array | float:
-    """Return a random rounding error for the recorded reference of a servo; zero in an undisturbed replay.
+    """Return a random rounding error [A] of a servo's recorded current reference; zero in an undisturbed replay.
 
     A reference may be constant for seconds. Without the servo, a rotor whose friction falls with speed runs away from
     the smallest error.
     """
     if job.disturbance is None or not moved_by_a_servo(job.clock):
         return 0.0
-    step = quantum_of(job.clock.values["q_axis_current_reference", "test"])
-    steps_at_rest = max(1, round(ROUNDING_HOLD_S / job.step))
-    total = (len(job.clock.time) - 1) * job.parts
-    rounding_error = step * (job.disturbance.random(total // steps_at_rest + 1) - 0.5)
-    return np.asarray(np.repeat(rounding_error, steps_at_rest)[:total], np.float64)
+    quantum = quantum_of(job.clock.values["q_axis_current_reference", "test"])
+    steps_held = max(1, round(ROUNDING_HOLD_S / job.step))
+    step_count = (len(job.clock.time) - 1) * job.parts
+    rounding_error = quantum * (job.disturbance.random(step_count // steps_held + 1) - 0.5)
+    return np.asarray(np.repeat(rounding_error, steps_held)[:step_count], np.float64)
 
 
-def response_over_steps(reference: Array, start: float, bandwidth: float | None, step: float) -> tuple[Array, Array]:
-    """Return a first-order loop's response to a reference over each sub-step: at the instants, and as means between."""
+def response_over_steps(
+    reference: Array, initial_response: float, bandwidth: float | None, step: float
+) -> tuple[Array, Array]:
+    """Return a first-order loop's response to a reference over each sub-step: at the instants, and as means between.
+
+    initial_response : response at the first instant.
+    bandwidth : of the loop [Hz]; without one the response equals the reference.
+    step : length of a sub-step [s].
+    """
     if not bandwidth:
         return np.concatenate([reference[:1], reference]), reference
-    constant = 1.0 / (2.0 * np.pi * bandwidth)
-    decay = float(np.exp(-step / constant))
-    answer = lfilter([1.0 - decay], [1.0, -decay], reference, zi=[decay * start])[0]
-    instants = np.concatenate([[start], answer])
-    return instants, reference - constant * np.diff(instants) / step
+    time_constant = 1.0 / (2.0 * np.pi * bandwidth)
+    decay = float(np.exp(-step / time_constant))
+    later_instants = lfilter([1.0 - decay], [1.0, -decay], reference, zi=[decay * initial_response])[0]
+    instants = np.concatenate([[initial_response], later_instants])
+    return instants, reference - time_constant * np.diff(instants) / step
 
 
 def measured_over_steps(job: Job, role: str) -> tuple[Array, Array] | None:
-    """Return a measured current at the instants and as means between, interpolated by the loop's response."""
+    """Return a measured current [A] at the instants and as means between, interpolated by the loop's response.
+
+    A disturbed replay adds noise to it. None where the run has no such current.
+    """
     values = job.clock.get("q_axis_current", role)
     if values is None:
         return None
@@ -161,12 +182,12 @@ def measured_over_steps(job: Job, role: str) -> tuple[Array, Array] | None:
 
 
 def interpolate_steps(values: Array, parts: int) -> Array:
-    """Interpolate samples linearly at the instants of the sub-steps."""
+    """Return samples interpolated linearly at the instants of the sub-steps."""
     positions = np.arange((len(values) - 1) * parts + 1) / parts
     return np.interp(positions, np.arange(len(values)), values)
 
 
 def means_over_samples(means: Array, parts: int) -> Array:
-    """Average means over sub-steps to means over the interval that ends at each sample."""
+    """Return means over the interval that ends at each sample, from means over sub-steps."""
     sample_means = means.reshape(-1, parts).mean(axis=1)
     return np.concatenate([sample_means[:1], sample_means])

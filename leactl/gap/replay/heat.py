@@ -17,8 +17,8 @@ from leactl.gap.signals.record import WINDING, Clocked
 from leactl.gap.signals.smoothing import smooth
 from leactl.model.winding import resistance_ratio
 
-START_SHARE = 0.3  # share of a winding's time constant in which readings determine the start
-MOST_START_SAMPLES = 20  # of these readings
+START_SHARE = 0.3  # share of a winding's time constant from whose readings the start follows
+MOST_START_SAMPLES = 20  # largest number of these readings
 FED_WIDTH = 8.0  # samples, smoothing of the temperatures that give the share of the fed phases
 NODES_FROM_START = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])  # a further body begins as the housing
 FURTHER_BODY = np.array([0.0, 0.0, 1.0])
@@ -29,9 +29,9 @@ def replay_temperatures(jobs: Sequence[Job]) -> None:
     """Replay the temperatures of every run whose bench has a thermal network; use the measured ones elsewhere."""
     networked = [Network(job) for job in jobs if has_network(job)]
     if networked:
-        answer = step_from_starts(networked)
+        temperatures = step_from_starts(networked)
         for index, network in enumerate(networked):
-            network.keep(answer[: network.count, index])
+            network.write(temperatures[: network.count, index])
     for job in jobs:
         if not has_network(job):
             write_measured_temperatures(job)
@@ -48,7 +48,10 @@ def has_network(job: Job) -> bool:
 
 
 class Network:
-    """One run's network with its inputs at the samples of the slow clock."""
+    """One run's thermal network with its inputs at the samples of the slow clock.
+
+    Nodes are winding, housing and a further body, in this order.
+    """
 
     def __init__(self, job: Job) -> None:
         assert job.record.slow is not None and job.plant.model.thermal is not None
@@ -62,40 +65,53 @@ class Network:
         self.housing_heat = np.zeros(self.count)
         for heat in plant.housing_heat:
             self.housing_heat = self.housing_heat + heat(self.speed)
-        wa, wh = 1 / thermal.winding_ambient_resistance, 1 / thermal.winding_housing_resistance
+        winding_to_air, winding_to_housing = (
+            1 / thermal.winding_ambient_resistance,
+            1 / thermal.winding_housing_resistance,
+        )
         self.to_air = 1 / thermal.housing_ambient_resistance
-        capacity, resistance = plant.further_node or (1.0, NO_BODY_RESISTANCE)
-        hf = 1.0 / resistance
-        self.capacities = np.array([thermal.winding_capacitance, thermal.housing_capacitance, capacity])
-        flows = np.array([[-(wa + wh), wh, 0.0], [wh, -(wh + self.to_air + hf), hf], [0.0, hf, -hf]])
-        ambient = np.array([wa, self.to_air, 0.0])
-        block = np.zeros((7, 7))  # temperatures; heats on each node and ambient held over the step
-        block[:3, :3] = flows / self.capacities[:, None]
-        block[:3, 3:6] = np.diag(1.0 / self.capacities)
-        block[:3, 6] = ambient / self.capacities
-        moved = expm(block * clock.interval)
-        self.decay, self.gain, self.by_ambient = moved[:3, :3], moved[:3, 3:6], moved[:3, 6]
+        body_capacitance, body_resistance = plant.further_node or (1.0, NO_BODY_RESISTANCE)
+        housing_to_body = 1.0 / body_resistance
+        self.capacities = np.array([thermal.winding_capacitance, thermal.housing_capacitance, body_capacitance])
+        conductances = np.array(
+            [
+                [-(winding_to_air + winding_to_housing), winding_to_housing, 0.0],
+                [winding_to_housing, -(winding_to_housing + self.to_air + housing_to_body), housing_to_body],
+                [0.0, housing_to_body, -housing_to_body],
+            ]
+        )
+        conductance_to_ambient = np.array([winding_to_air, self.to_air, 0.0])
+        state_matrix = np.zeros((7, 7))  # temperatures; heats on each node and ambient held over the step
+        state_matrix[:3, :3] = conductances / self.capacities[:, None]
+        state_matrix[:3, 3:6] = np.diag(1.0 / self.capacities)
+        state_matrix[:3, 6] = conductance_to_ambient / self.capacities
+        step_matrix = expm(state_matrix * clock.interval)
+        self.decay, self.gain, self.by_ambient = step_matrix[:3, :3], step_matrix[:3, 3:6], step_matrix[:3, 6]
         self.start = self._start()
 
     def _cold_heat(self) -> Array:
-        """Return the Joule heat at the reference temperature [W], over the interval that begins at each sample."""
-        resistance, line = self.job.plant.model.phase_resistance or 0.0, self.clock.get("line_current")
-        if line is not None:
-            return 2.0 * resistance * line**2 * self._fed_share()
+        """Return the Joule heat [W] at the reference temperature, over the interval that begins at each sample."""
+        resistance, line_current = self.job.plant.model.phase_resistance or 0.0, self.clock.get("line_current")
+        if line_current is not None:
+            return 2.0 * resistance * line_current**2 * self._fed_share()
         if "current_squared" in self.clock.driven:
             return resistance * self.clock.driven["current_squared"]
         assert self.job.current is not None
-        squared = self.job.current[:: self.job.parts] ** 2
-        return resistance * means_after_edges(self.job.clock.time, squared, self.clock.time)
+        current_squared = self.job.current[:: self.job.parts] ** 2
+        return resistance * means_after_edges(self.job.clock.time, current_squared, self.clock.time)
 
     def _fed_share(self) -> Array | float:
         """Return the ratio of the fed phases' mean resistance to that of the whole winding, from their temperatures."""
         clock, plant = self.clock, self.job.plant
         if clock.fed is None:
             return 1.0
-        cold = 1.0 - plant.resistance_coefficient * plant.model.reference_temperature
-        fed, winding = (cold + plant.resistance_coefficient * values for values in (clock.fed, clock.values[WINDING]))
-        return np.asarray(smooth(fed, FED_WIDTH) / smooth(winding, FED_WIDTH), np.float64)
+        ratio_at_zero = (
+            1.0 - plant.resistance_coefficient * plant.model.reference_temperature
+        )  # at 0 degC, to the resistance at the reference temperature
+        fed_ratio, winding_ratio = (
+            ratio_at_zero + plant.resistance_coefficient * values for values in (clock.fed, clock.values[WINDING])
+        )
+        return np.asarray(smooth(fed_ratio, FED_WIDTH) / smooth(winding_ratio, FED_WIDTH), np.float64)
 
     def _speed(self) -> Array:
         """Return the measured speed [rad/s], root mean square over the interval that begins at each sample."""
@@ -119,34 +135,40 @@ class Network:
         rise above ambient undone. A further body is not measured. In a heated run it starts as warm as the housing. Any
         other run may begin warm: there the start of the body is fitted to the readings of the whole run.
         """
-        count = min(
+        reading_count = min(
             max(1, round(START_SHARE * winding_time_constant(self.job.plant.model) / self.clock.interval)),
             MOST_START_SAMPLES,
         )
-        first = slice(0, min(count, self.count // 4) + 1)
-        read = np.stack([self._first_of("winding_temperature", first), self._first_of("housing_temperature", first)])
-        kept = [np.linalg.matrix_power(self.decay, step)[:2] @ NODES_FROM_START for step in range(read.shape[1])]
-        start = self._measured_start(read, kept, np.zeros(3))
+        first_samples = slice(0, min(reading_count, self.count // 4) + 1)
+        readings = np.stack(
+            [self._first_of("winding_temperature", first_samples), self._first_of("housing_temperature", first_samples)]
+        )
+        responses_to_start = [
+            np.linalg.matrix_power(self.decay, step)[:2] @ NODES_FROM_START for step in range(readings.shape[1])
+        ]
+        start = self._measured_start(readings, responses_to_start, np.zeros(3))
         if self.job.plant.further_node is None or self.job.record.mechanical == "heated":
             return start
-        return self._measured_start(read, kept, self._excess_of_further_body(start, kept) * FURTHER_BODY)
+        return self._measured_start(
+            readings, responses_to_start, self._excess_of_further_body(start, responses_to_start) * FURTHER_BODY
+        )
 
-    def _measured_start(self, read: Array, kept: Sequence[Array], excess: Array) -> Array:
+    def _measured_start(self, readings: Array, responses: Sequence[Array], excess: Array) -> Array:
         """Return the start [degC], shape (3,), from which the means of the first readings come out.
 
-        read : degC, shape (2, samples), of winding and housing.
-        kept : for each sample, shape (2, 2), K/K: what 1 K more of winding or housing at the start (columns) leaves in
-            winding and housing (rows); a further body starts as warm as the housing.
+        readings : degC, shape (2, samples), of winding and housing.
+        responses : for each sample, shape (2, 2), K/K: what 1 K more of winding or housing at the start (columns)
+            leaves in winding and housing (rows); a further body starts as warm as the housing.
         excess : K, shape (3,), by which a further body starts warmer than the housing; zero for the other nodes.
         """
-        start = np.mean(read, axis=1)
+        start = np.mean(readings, axis=1)
         for _ in range(2):  # one pass is exact but for heat that depends on the temperature
-            course = step_networks([self], (NODES_FROM_START @ start + excess)[None], read.shape[1])[:, 0, :2]
-            start = start + np.linalg.solve(np.mean(kept, axis=0), np.mean(read - course.T, axis=1))
+            course = step_networks([self], (NODES_FROM_START @ start + excess)[None], readings.shape[1])[:, 0, :2]
+            start = start + np.linalg.solve(np.mean(responses, axis=0), np.mean(readings - course.T, axis=1))
         return np.asarray(NODES_FROM_START @ start + excess, np.float64)
 
-    def _excess_of_further_body(self, start: Array, kept: Sequence[Array]) -> float:
-        """Return the temperature of a further body above the housing's at the start [K].
+    def _excess_of_further_body(self, start: Array, responses_to_start: Sequence[Array]) -> float:
+        """Return by how much a further body is warmer than the housing at the start [K].
 
         It is fitted by least squares over the run, with a Gaussian prior of mean zero. Its standard deviation is the
         housing's rise above ambient at the start.
@@ -159,7 +181,9 @@ class Network:
             nodes = self.decay @ nodes
         by_body, by_start = responses[:, :, 0], responses[:, :, 1:]
         # 1 K of excess warms the first samples; a start lower by this (K/K) undoes that on average
-        lowered_start = np.linalg.solve(np.mean(kept, axis=0), np.mean(by_body[: len(kept)], axis=0))
+        lowered_start = np.linalg.solve(
+            np.mean(responses_to_start, axis=0), np.mean(by_body[: len(responses_to_start)], axis=0)
+        )
         change = by_body - by_start @ lowered_start
         course = step_networks([self], start[None], self.count)[:, 0, :2]
         prior_variance = (start[1] - self.ambient[0]) ** 2  # K^2
@@ -174,20 +198,20 @@ class Network:
                 information += weight * float(np.sum(change[measured_samples, node] ** 2))
         return weighted_change / information
 
-    def _first_of(self, name: str, first: slice) -> Array:
-        """Return the first temperatures of a node; a disturbed replay adds the error of their mean."""
-        node = self._node_temperatures(name, first)
+    def _first_of(self, name: str, samples: slice) -> Array:
+        """Return the first temperatures of a node [degC]; a disturbed replay adds the error of their mean."""
+        temperatures = self._node_temperatures(name, samples)
         if self.job.disturbance is not None:
             error = (
                 noise_of(self._camera_readings(name))
-                / np.sqrt(len(node))
+                / np.sqrt(len(temperatures))
                 * float(self.job.disturbance.standard_normal())
             )
-            node = node + error / self.job.plant.camera_fraction
-        return node
+            temperatures = temperatures + error / self.job.plant.camera_fraction
+        return temperatures
 
     def _node_temperatures(self, name: str, samples: slice) -> Array:
-        """Return the temperatures of a node: what the camera read, with its fraction of the rise undone."""
+        """Return the temperatures of a node [degC]: the camera's readings with its fraction of the rise undone."""
         air = self.ambient[samples]
         return np.asarray(
             air + (self._camera_readings(name)[samples] - air) / self.job.plant.camera_fraction, np.float64
@@ -198,57 +222,67 @@ class Network:
         values = self.clock.get(name)
         return self.clock.values["winding_temperature", "test"] if values is None else values
 
-    def keep(self, nodes: Array) -> None:
-        """Write the temperatures, and the readings of camera and supply, into the job."""
+    def write(self, nodes: Array) -> None:
+        """Write the temperatures, and the readings of camera and supply, into the job.
+
+        nodes : degC, shape (samples, 3).
+        """
         job, clock = self.job, self.clock
         winding, housing = nodes[:, 0], nodes[:, 1]
         for name, values in (("winding_temperature", winding), ("housing_temperature", housing)):
             if clock.get(name) is not None:
                 job.slow[name, "test"] = self.ambient + job.plant.camera_fraction * (values - self.ambient)
-        line = clock.get("line_current")
-        if line is not None and clock.get("line_voltage") is not None:
-            cold = 2.0 * (job.plant.model.phase_resistance or 0.0) * line
-            fed = winding
+        line_current = clock.get("line_current")
+        if line_current is not None and clock.get("line_voltage") is not None:
+            cold_voltage = 2.0 * (job.plant.model.phase_resistance or 0.0) * line_current
+            fed_temperature = winding
             if clock.fed is not None:  # the phases with current are warmer than the mean by the measured difference
-                fed = winding + clock.fed - clock.values[WINDING]
-            job.slow["line_voltage", "test"] = cold * resistance_share(job, fed)
+                fed_temperature = winding + clock.fed - clock.values[WINDING]
+            job.slow["line_voltage", "test"] = cold_voltage * resistance_share(job, fed_temperature)
         if job.record.fast is not None:
             job.winding = np.interp(job.clock.time, clock.time, winding)
             job.housing = np.interp(job.clock.time, clock.time, housing)
 
 
 def step_from_starts(networks: Sequence[Network]) -> Array:
-    """Step all networks from their starts; return temperatures (step, network, node)."""
+    """Return the temperatures [degC] of all networks stepped from their starts, shape (steps, networks, nodes)."""
     starts = np.stack([network.start for network in networks])
     return step_networks(networks, starts, max(network.count for network in networks))
 
 
-def step_networks(networks: Sequence[Network], starts: Array, longest: int) -> Array:
-    """Step networks from starts (network, node) by `longest` steps; return temperatures (step, network, node)."""
+def step_networks(networks: Sequence[Network], starts: Array, step_count: int) -> Array:
+    """Return the temperatures [degC] of networks stepped from given starts, shape (steps, networks, nodes).
+
+    starts : degC, shape (networks, nodes).
+    step_count : number of steps; a network whose run ends earlier continues at its last inputs.
+    """
 
     def inputs(name: str) -> Array:
-        rows = [getattr(network, name)[:longest] for network in networks]
-        return np.stack([np.pad(row, (0, longest - len(row)), mode="edge") for row in rows], axis=1)
+        """Return an attribute of the networks at every step, shape (steps, networks)."""
+        rows = [getattr(network, name)[:step_count] for network in networks]
+        return np.stack([np.pad(row, (0, step_count - len(row)), mode="edge") for row in rows], axis=1)
 
     cold, ambient, housing_heat, speed = (inputs(name) for name in ("cold", "ambient", "housing_heat", "speed"))
-    decay, gain = np.stack([n.decay for n in networks]), np.stack([n.gain for n in networks])
-    by_ambient = np.stack([n.by_ambient for n in networks])
+    decay, gain = np.stack([network.decay for network in networks]), np.stack([network.gain for network in networks])
+    by_ambient = np.stack([network.by_ambient for network in networks])
     external_rise = gain[:, :, 1] * housing_heat[:, :, None] + by_ambient * ambient[:, :, None]
     by_winding = cold[:, :, None] * gain[:, :, 0]
-    slope = np.array([n.job.plant.resistance_coefficient for n in networks])
-    level = 1.0 - slope * np.array([n.job.plant.model.reference_temperature for n in networks])
-    convective = [(index, n) for index, n in enumerate(networks) if n.job.plant.convection]
+    ratio_per_kelvin = np.array([network.job.plant.resistance_coefficient for network in networks])
+    ratio_at_zero = 1.0 - ratio_per_kelvin * np.array(
+        [network.job.plant.model.reference_temperature for network in networks]
+    )
+    convective = [(index, network) for index, network in enumerate(networks) if network.job.plant.convection]
     state = starts
     previous_winding = state[:, 0].copy()
-    temperatures = np.empty((longest, len(networks), 3))
-    for step in range(longest):
+    temperatures = np.empty((step_count, len(networks), 3))
+    for step in range(step_count):
         temperatures[step] = state
-        share = level + slope * (1.5 * state[:, 0] - 0.5 * previous_winding)
+        ratio = ratio_at_zero + ratio_per_kelvin * (1.5 * state[:, 0] - 0.5 * previous_winding)
         previous_winding = state[:, 0].copy()
-        next_state = (decay @ state[:, :, None])[:, :, 0] + by_winding[step] * share[:, None] + external_rise[step]
+        next_state = (decay @ state[:, :, None])[:, :, 0] + by_winding[step] * ratio[:, None] + external_rise[step]
         for index, network in convective:
             rise = state[index, 1] - ambient[step, index]
-            convection = sum(float(c(rise, speed[step, index])) for c in network.job.plant.convection)
+            convection = sum(float(factor(rise, speed[step, index])) for factor in network.job.plant.convection)
             next_state[index] -= network.gain[:, 1] * (network.to_air * rise * convection)
         state = next_state
     return temperatures
@@ -266,7 +300,7 @@ def write_measured_temperatures(job: Job) -> None:
 
 
 def resistance_share(job: Job, winding: Array | None) -> Array | float:
-    """Return the ratio of the resistance to that at the reference temperature."""
+    """Return the ratio of the resistance to that at the reference temperature; 1 without a temperature [degC]."""
     if winding is None:
         return 1.0
     return resistance_ratio(winding, job.plant.resistance_coefficient, job.plant.model.reference_temperature)

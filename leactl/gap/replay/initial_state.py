@@ -1,4 +1,4 @@
-"""Measure the state from which a replay starts: angle and speed by a straight line through a few samples."""
+"""State from which a replay starts: angle and speed by a straight line through a few measured samples."""
 
 import numpy as np
 import numpy.typing as npt
@@ -14,27 +14,30 @@ def half_window(job: Job) -> int:
     return max(1, round(HALF_WINDOW_S / job.clock.interval))
 
 
-def starting_motion(job: Job, at: npt.NDArray[np.intp]) -> tuple[Array, Array]:
-    """Return angle [rad] and speed [rad/s] at some samples, without the encoder's error."""
-    clock, half = job.clock, half_window(job)
-    offsets = np.arange(-half, half + 1)
-    around = np.clip(at[:, None] + offsets, 0, len(clock.time) - 1)
-    measured, speeds = clock.get("angle"), clock.get("velocity")
-    if measured is not None:
-        noise = noise_of(measured)
+def starting_motion(job: Job, starts: npt.NDArray[np.intp]) -> tuple[Array, Array]:
+    """Return angle [rad] and speed [rad/s] at some samples, without the encoder's error; zero where not measured.
+
+    A disturbed replay adds the error of the straight line.
+    """
+    clock, half_width = job.clock, half_window(job)
+    offsets = np.arange(-half_width, half_width + 1)
+    window = np.clip(starts[:, None] + offsets, 0, len(clock.time) - 1)
+    angles, speeds = clock.get("angle"), clock.get("velocity")
+    if angles is not None:
+        angle_noise = noise_of(angles)
         for error in job.plant.angle_error:
-            measured = measured - error(measured)
-        angle = measured[around].mean(axis=1)
+            angles = angles - error(angles)
+        angle = angles[window].mean(axis=1)
         weights = offsets / (np.sum(offsets**2) * clock.interval)
-        velocity = measured[around] @ weights
-        spread = noise * float(np.sqrt(np.sum(weights**2)))
+        velocity = angles[window] @ weights
+        velocity_noise = angle_noise * float(np.sqrt(np.sum(weights**2)))
     elif speeds is not None:
-        angle, velocity = np.zeros(len(at)), speeds[around].mean(axis=1)
-        noise = 0.0
-        spread = noise_of(speeds) / np.sqrt(len(offsets))
+        angle, velocity = np.zeros(len(starts)), speeds[window].mean(axis=1)
+        angle_noise = 0.0
+        velocity_noise = noise_of(speeds) / np.sqrt(len(offsets))
     else:
-        return np.zeros(len(at)), np.zeros(len(at))
+        return np.zeros(len(starts)), np.zeros(len(starts))
     if job.disturbance is not None:
-        angle = angle + noise / np.sqrt(len(offsets)) * job.disturbance.standard_normal(len(at))
-        velocity = velocity + spread * job.disturbance.standard_normal(len(at))
+        angle = angle + angle_noise / np.sqrt(len(offsets)) * job.disturbance.standard_normal(len(starts))
+        velocity = velocity + velocity_noise * job.disturbance.standard_normal(len(starts))
     return np.asarray(angle, np.float64), np.asarray(velocity, np.float64)

@@ -11,12 +11,12 @@ from leactl.gap.signals.record import Clocked, Key, Record
 from leactl.gap.signals.rig import load_of
 
 Array = npt.NDArray[np.float64]
-SERVO_STEP = 0.02  # share of a servo's shortest response time: back-EMF is then right to a percent
+SERVO_STEP = 0.02  # longest sub-step over a servo's shortest response time: back-EMF is then right to a percent
 
 
 @dataclass
 class Job:
-    """A run, a bench, and the parts of the replay in turn: current, temperatures, motion, readings."""
+    """A run, a bench, and the results of the replay as they are computed: current, temperatures, motion, readings."""
 
     record: Record
     plant: Plant
@@ -72,7 +72,7 @@ class Job:
         return self.clock.interval / self.parts
 
     def course(self) -> Course:
-        """Return the run at its samples, for effects that act before its motion is known."""
+        """Return times and housing temperatures of the run, for effects that act before its motion is known."""
         time = self.clock.since_begin
         zeros = np.zeros_like(time)
         housing = self.housing if self.housing is not None else zeros + self.plant.model.reference_temperature

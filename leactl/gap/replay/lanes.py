@@ -25,12 +25,12 @@ class LaneState:
     """State of each lane."""
 
     angle: Array  # rad, of the test rotor
-    velocity: Array  # rad/s, half a step earlier
-    load_velocity: Array
-    twist: Array  # rad
+    velocity: Array  # rad/s, of the test rotor, half a step earlier
+    load_velocity: Array  # rad/s, half a step earlier
+    twist: Array  # rad, of the shaft
     bristle: Array  # -1 .. 1, friction that has built up
 
-    def picked(self, lanes: npt.NDArray[np.intp]) -> "LaneState":
+    def of_lanes(self, lanes: npt.NDArray[np.intp]) -> "LaneState":
         """Return the state of some lanes."""
         return LaneState(*(values[lanes] for values in vars(self).values()))
 
@@ -46,7 +46,7 @@ class Servo:
     resistance: Array  # ohm
     torque_constant: Array  # N*m/A
     emf: Array  # V*s/rad
-    held: int  # steps for which a reference is constant
+    held: int  # number of steps for which a reference is constant
 
 
 @dataclass
@@ -61,7 +61,7 @@ class Tracking:
 
 @dataclass
 class Lanes:
-    """Stretches of runs with the constants of their benches; each array has one value a lane, inputs one a step too."""
+    """Stretches of runs with the constants of their benches: one value for each lane, inputs also for each step."""
 
     step: float  # s
     plants: Sequence[tuple[Plant, slice]]  # lanes of one bench are adjacent
@@ -73,8 +73,8 @@ class Lanes:
     emf_damping: Array  # N*m*s/rad, of the back-EMF under a voltage that is given
     friction: Array  # N*m
     load_inertia: Array  # kg*m^2; infinite where the shaft's end is held
-    load_damping: Array
-    load_friction: Array
+    load_damping: Array  # N*m*s/rad
+    load_friction: Array  # N*m
     stiffness: Array  # N*m/rad; zero where nothing is on the shaft
     damping_ratio: Array  # of critical, of the shaft
     gravity: Array  # N*m, torque of a level pendulum or arm
@@ -85,76 +85,81 @@ class Lanes:
 
 @dataclass
 class LaneMotion:
-    """Motion of the lanes, (steps, lanes)."""
+    """Motion of the lanes; arrays have shape (steps, lanes)."""
 
-    angle: Array
-    velocity: Array  # over each step
-    torque: Array
-    load_velocity: Array
-    current: Array | None
+    angle: Array  # rad, at the beginning of each step
+    velocity: Array  # rad/s, over each step
+    torque: Array  # N*m, onto the shaft, at the beginning of each step
+    load_velocity: Array  # rad/s, over each step
+    current: Array | None  # A, of a servo
     pull: Array | None  # N*m, torque that tracking adds to the drive
     end: LaneState
 
 
 def resonant_stiffness(lanes: Lanes) -> Array:
-    """Return the stiffness with which the discrete steps ring at the shaft's own frequency."""
+    """Return the stiffness [N*m/rad] with which the discrete steps ring at the shaft's natural frequency."""
     mobility = 1.0 / lanes.inertia + 1.0 / lanes.load_inertia
-    half = 0.5 * lanes.step * np.sqrt(lanes.stiffness * mobility)
-    return np.asarray(np.sin(np.minimum(half, MOST_HALF_PHASE)) ** 2 * 4.0 / (lanes.step**2 * mobility), np.float64)
+    half_phase = 0.5 * lanes.step * np.sqrt(lanes.stiffness * mobility)
+    return np.asarray(
+        np.sin(np.minimum(half_phase, MOST_HALF_PHASE)) ** 2 * 4.0 / (lanes.step**2 * mobility), np.float64
+    )
 
 
 def step_lanes(lanes: Lanes, start: LaneState) -> LaneMotion:
-    """Step every lane to its end."""
+    """Return the motion of every lane, stepped from its start to its end."""
     steps, count = lanes.drive.shape
     h = lanes.step
     servo = lanes.servo
-    # at a step's start, half a step late, back-EMF would reduce the inertia and make a light axis oscillate
+    # taken at a step's start, half a step late, back-EMF would reduce the inertia and make a light axis oscillate
     braking = servo.torque_constant * servo.emf / servo.resistance if servo is not None else np.zeros(count)
-    decay, gain = _answer(lanes.damping + lanes.emf_damping + braking, lanes.inertia, h)
+    decay, gain = _velocity_response(lanes.damping + lanes.emf_damping + braking, lanes.inertia, h)
     # where a servo is off, no current brakes
-    free_response = _answer(lanes.damping + lanes.emf_damping, lanes.inertia, h)
-    load_decay, load_gain = _answer(lanes.load_damping, lanes.load_inertia, h)
+    unbraked_response = _velocity_response(lanes.damping + lanes.emf_damping, lanes.inertia, h)
+    load_decay, load_gain = _velocity_response(lanes.load_damping, lanes.load_inertia, h)
     stiffness = resonant_stiffness(lanes)
     shaft_damping = 2.0 * lanes.damping_ratio * np.sqrt(stiffness / (1.0 / lanes.inertia + 1.0 / lanes.load_inertia))
     bristles = _Bristles(lanes, gain)
-    shaft, hanging = bool(np.any(stiffness > 0)), bool(np.any(lanes.gravity != 0))
-    loaded, voltage_fed = shaft and bool(np.any(load_gain > 0)), bool(np.any(lanes.emf_damping > 0))
+    has_shaft, has_gravity = bool(np.any(stiffness > 0)), bool(np.any(lanes.gravity != 0))
+    load_turns, voltage_fed = has_shaft and bool(np.any(load_gain > 0)), bool(np.any(lanes.emf_damping > 0))
     friction_step, load_friction_step = gain * lanes.friction, load_gain * lanes.load_friction
     groups = [_Group(plant, lanes_of_plant, gain) for plant, lanes_of_plant in lanes.plants]
     groups = [group for group in groups if group.acts]
     angle, velocity = start.angle.copy(), start.velocity.copy()
     load_velocity, twist, bristle = start.load_velocity.copy(), start.twist.copy(), start.bristle.copy()
-    ahead, push, torque = np.empty(count), np.empty(count), np.zeros(count)
+    frictionless_velocity, push, torque = np.empty(count), np.empty(count), np.zeros(count)
     shape = (steps, count)
     current = np.empty(shape) if servo is not None else None
     pull = np.empty(shape) if lanes.tracking is not None else None
     motion = LaneMotion(np.empty(shape), np.empty(shape), np.zeros(shape), np.zeros(shape), current, pull, start)
     for group in groups:
-        group.attach(angle, velocity, ahead, torque, twist, push)
+        group.attach(angle, velocity, frictionless_velocity, torque, twist, push)
     for index in range(steps):
         drive = lanes.drive[index]
         if motion.pull is not None:
-            motion.pull[index] = _pull(lanes.tracking, index, angle, velocity)
+            motion.pull[index] = _tracking_torque(lanes.tracking, index, angle, velocity)
             drive = drive + motion.pull[index]
         if servo is not None and motion.current is not None:
-            flowing = motion.current[index] = _servo_current(servo, lanes.step, index, angle, velocity, groups)
-            drive = servo.torque_constant * flowing
+            servo_current = motion.current[index] = _servo_current(servo, lanes.step, index, angle, velocity, groups)
+            drive = servo.torque_constant * servo_current
             for group in groups:
-                group.saturate(drive, flowing)
-        if shaft:
+                group.scale_servo_torque(drive, servo_current)
+        if has_shaft:
             np.multiply(stiffness, twist, out=torque)
             torque += shaft_damping * (velocity - load_velocity)
             for group in groups:
-                group.slip(stiffness)
-        elif hanging:
+                group.remove_torque_in_play(stiffness)
+        elif has_gravity:
             np.multiply(lanes.gravity, np.sin(angle - lanes.hanging), out=torque)
         np.subtract(drive, torque, out=push)
         decay_now, gain_now, friction_step_now = decay, gain, friction_step
         if servo is not None:
-            idle = np.isnan(servo.reference[index])
-            push += np.where(idle, 0.0, braking * velocity)  # current and decay both contain the back-EMF
-            if idle.any():
-                decay_now, gain_now = np.where(idle, free_response[0], decay), np.where(idle, free_response[1], gain)
+            is_disabled = np.isnan(servo.reference[index])
+            push += np.where(is_disabled, 0.0, braking * velocity)  # current and decay both contain the back-EMF
+            if is_disabled.any():
+                decay_now, gain_now = (
+                    np.where(is_disabled, unbraked_response[0], decay),
+                    np.where(is_disabled, unbraked_response[1], gain),
+                )
                 friction_step_now = gain_now * lanes.friction
         motion.torque[index] = torque
         motion.angle[index] = angle
@@ -168,25 +173,27 @@ def step_lanes(lanes: Lanes, start: LaneState) -> LaneMotion:
                 level = friction_step_now.copy()
             drive_torque = drive - lanes.emf_damping * velocity if voltage_fed else drive
             for group in groups:
-                group.drive(drive_torque, drive_torque if hanging else torque)
-        np.multiply(velocity, decay_now, out=ahead)
+                group.drive(drive_torque, drive_torque if has_gravity else torque)
+        np.multiply(velocity, decay_now, out=frictionless_velocity)
         push *= gain_now
-        ahead += push
+        frictionless_velocity += push
         for group in groups:
-            group.rub(level)
-        bristles.take(level, ahead, bristle, velocity)
+            group.scale_friction(level)
+        bristles.step(level, frictionless_velocity, bristle, velocity)
         motion.velocity[index] = velocity
         angle += h * velocity
-        if shaft:
+        if has_shaft:
             twist += h * velocity
-            if loaded:
+            if load_turns:
                 assert lanes.load_drive is not None
-                ahead_load = load_decay * load_velocity + load_gain * (lanes.load_drive[index] + torque)
-                load_velocity = ahead_load - np.minimum(np.maximum(ahead_load, -load_friction_step), load_friction_step)
+                frictionless_load_velocity = load_decay * load_velocity + load_gain * (lanes.load_drive[index] + torque)
+                load_velocity = frictionless_load_velocity - np.minimum(
+                    np.maximum(frictionless_load_velocity, -load_friction_step), load_friction_step
+                )
                 twist -= h * load_velocity
                 motion.load_velocity[index] = load_velocity
     motion.end = LaneState(angle, velocity, load_velocity, twist, bristle)
-    if shaft:
+    if has_shaft:
         correct_softness(motion, lanes, stiffness)
     return motion
 
@@ -194,36 +201,36 @@ def step_lanes(lanes: Lanes, start: LaneState) -> LaneMotion:
 def correct_softness(motion: LaneMotion, lanes: Lanes, stiffness: Array) -> None:
     """Correct the motion for the softer spring of the discrete steps, which twists too much.
 
-    The excess twist is removed where no balance of torques reads it: the load's speed is
-    raised, a locked rotor's angle and speed are lowered.
+    The excess twist is removed where no balance of torques reads it: the load's speed is raised, or a locked rotor's
+    angle and speed are lowered.
     """
-    softer, shaft = np.zeros_like(stiffness), lanes.stiffness > 0.0
-    softer[shaft] = 1.0 / stiffness[shaft] - 1.0 / lanes.stiffness[shaft]
-    too_far = softer * motion.torque
-    faster = np.diff(too_far, axis=0, append=too_far[-1:]) / lanes.step
+    excess_compliance, has_shaft = np.zeros_like(stiffness), lanes.stiffness > 0.0
+    excess_compliance[has_shaft] = 1.0 / stiffness[has_shaft] - 1.0 / lanes.stiffness[has_shaft]
+    excess_twist = excess_compliance * motion.torque
+    excess_speed = np.diff(excess_twist, axis=0, append=excess_twist[-1:]) / lanes.step
     locked = np.isinf(lanes.load_inertia)
-    motion.angle -= np.where(locked, too_far, 0.0)
-    motion.velocity -= np.where(locked, faster, 0.0)
-    motion.load_velocity += np.where(locked, 0.0, faster)
+    motion.angle -= np.where(locked, excess_twist, 0.0)
+    motion.velocity -= np.where(locked, excess_speed, 0.0)
+    motion.load_velocity += np.where(locked, 0.0, excess_speed)
 
 
 def _servo_current(
     servo: Servo, step: float, index: int, angle: Array, velocity: Array, groups: "list[_Group]"
 ) -> Array:
-    """Return the current of the servo's voltage in the winding, zero while it is disabled."""
-    wanted = servo.reference[index]
-    error = wanted - angle
+    """Return the current [A] of the servo's voltage in the winding, zero while it is disabled."""
+    reference = servo.reference[index]
+    error = reference - angle
     for group in groups:
-        group.answer(error)
+        group.transform_error(error)
     volts = servo.gain * error
     if np.any(servo.damping):
         volts += servo.damping * (_reference_rate(servo, step, index) - velocity)
     volts = np.clip(volts, -servo.limit, servo.limit)
-    flowing = (volts - servo.emf * velocity) / servo.resistance
+    current = (volts - servo.emf * velocity) / servo.resistance
     for group in groups:
-        group.lose(volts, flowing)
-        flowing = (volts - servo.emf * velocity) / servo.resistance
-    return np.where(np.isnan(wanted), 0.0, flowing)
+        group.subtract_lost_voltage(volts, current)
+        current = (volts - servo.emf * velocity) / servo.resistance
+    return np.where(np.isnan(reference), 0.0, current)
 
 
 def _reference_rate(servo: Servo, step: float, index: int) -> Array:
@@ -233,15 +240,15 @@ def _reference_rate(servo: Servo, step: float, index: int) -> Array:
     return np.asarray(np.nan_to_num(speed), np.float64)
 
 
-def _pull(tracking: Tracking | None, index: int, angle: Array, velocity: Array) -> Array:
-    """Return the torque of the spring and damper to the tracked motion."""
+def _tracking_torque(tracking: Tracking | None, index: int, angle: Array, velocity: Array) -> Array:
+    """Return the torque [N*m] of the spring and damper to the tracked motion."""
     assert tracking is not None
     pull = tracking.stiffness * (tracking.angle[index] - angle)
     return np.asarray(pull + tracking.damping * (tracking.velocity[index] - velocity), np.float64)
 
 
-def _answer(damping: Array, inertia: Array, step: float) -> tuple[Array, Array]:
-    """Return the decay of a velocity over a step and its gain per torque, exact for a damped inertia."""
+def _velocity_response(damping: Array, inertia: Array, step: float) -> tuple[Array, Array]:
+    """Return the decay of a velocity over a step and its gain [rad/s per N*m], exact for a damped inertia."""
     rate = damping / inertia * step
     gain = np.where(rate > 1e-9, -np.expm1(-rate) / np.where(rate > 1e-9, rate, 1.0), 1.0) * step / inertia
     return np.where(np.isinf(inertia), 0.0, np.exp(-rate)), np.asarray(gain, np.float64)
@@ -256,21 +263,24 @@ class _Bristles:
             reach[lanes_of_plant] = plant.bristle or plant.give
         # bristles stiffer than a step resolves would drive the rotor back and forth
         reach = np.maximum(reach, 0.5 * lanes.step * gain * lanes.friction)
-        self.per_turn = lanes.step / reach
+        self.bend_per_speed = lanes.step / reach
         self.damping = 2.0 * BRISTLE_DAMPING * gain * np.sqrt(lanes.friction / reach * lanes.inertia)
 
-    def take(self, level: Array, ahead: Array, bristle: Array, velocity: Array) -> None:
-        """Compute the velocity under friction of this level from the frictionless one, and bend the bristles.
+    def step(self, level: Array, frictionless_velocity: Array, bristle: Array, velocity: Array) -> None:
+        """Compute the velocity under friction from the frictionless one, and bend the bristles; all arrays in place.
 
-        ahead is changed; bristle and velocity are the results.
+        level : change of the velocity [rad/s] over the step by sliding friction.
+        frictionless_velocity : rad/s, is overwritten.
+        bristle : share of the friction that has built up; it is updated.
+        velocity : rad/s, the result.
         """
         np.abs(bristle, out=velocity)
         np.subtract(1.0, velocity, out=velocity)
         velocity *= self.damping
         velocity += 1.0
-        ahead -= level * bristle
-        np.divide(ahead, velocity, out=velocity)
-        bend = self.per_turn * velocity
+        frictionless_velocity -= level * bristle
+        np.divide(frictionless_velocity, velocity, out=velocity)
+        bend = self.bend_per_speed * velocity
         bristle += bend
         bristle /= 1.0 + np.abs(bend)
 
@@ -278,49 +288,51 @@ class _Bristles:
 class _Group:
     """Effects of one bench on its lanes."""
 
-    def __init__(self, plant: Plant, place: slice, gain: Array) -> None:
-        self.plant, self.place, self.gain = plant, place, gain[place]
+    def __init__(self, plant: Plant, lanes: slice, gain: Array) -> None:
+        self.plant, self.lanes, self.gain = plant, lanes, gain[lanes]
         self.pushes = bool(plant.ripple or plant.rotor_torque or plant.drag)
         self.rubs = bool(plant.coulomb_share or plant.coulomb_added)
-        electric = plant.lost_voltage or plant.torque_share or plant.servo_error
-        self.acts = self.pushes or self.rubs or bool(plant.play or electric or plant.friction_share)
+        electric_effects = plant.lost_voltage or plant.torque_share or plant.servo_error
+        self.acts = self.pushes or self.rubs or bool(plant.play or electric_effects or plant.friction_share)
 
-    def attach(self, angle: Array, velocity: Array, ahead: Array, torque: Array, twist: Array, push: Array) -> None:
+    def attach(
+        self, angle: Array, velocity: Array, frictionless_velocity: Array, torque: Array, twist: Array, push: Array
+    ) -> None:
         """Keep views of this bench's lanes in the shared arrays, which the stepper updates in place."""
-        lanes = self.place
+        lanes = self.lanes
         self.torque, self.twist, self.push = torque[lanes], twist[lanes], push[lanes]
         self.before = Moment(angle[lanes], velocity[lanes], torque[lanes], torque[lanes])
-        self.after = Moment(angle[lanes], ahead[lanes], torque[lanes], torque[lanes])
+        self.after = Moment(angle[lanes], frictionless_velocity[lanes], torque[lanes], torque[lanes])
 
-    def answer(self, error: Array) -> None:
-        """Replace the servo's errors by those its controller responds to."""
-        for answered in self.plant.servo_error:
-            error[self.place] = answered(error[self.place])
+    def transform_error(self, error: Array) -> None:
+        """Replace the servo's errors by those that its controller responds to."""
+        for transform in self.plant.servo_error:
+            error[self.lanes] = transform(error[self.lanes])
 
-    def lose(self, volts: Array, current: Array) -> None:
-        """Subtract the voltage that is lost before the winding."""
-        for lost in self.plant.lost_voltage:
-            volts[self.place] -= lost(current[self.place])
+    def subtract_lost_voltage(self, volts: Array, current: Array) -> None:
+        """Subtract from the servo's voltage what is lost before the winding."""
+        for lost_voltage in self.plant.lost_voltage:
+            volts[self.lanes] -= lost_voltage(current[self.lanes])
 
-    def saturate(self, drive: Array, flowing: Array) -> None:
+    def scale_servo_torque(self, drive: Array, current: Array) -> None:
         """Scale the torque of a servo's current; a replayed current's torque is scaled already."""
         for share in self.plant.torque_share:
-            drive[self.place] *= share(flowing[self.place])
+            drive[self.lanes] *= share(current[self.lanes])
 
-    def slip(self, stiffness: Array) -> None:
-        """Remove the shaft's torque within its play, whose flanks push and do not pull."""
+    def remove_torque_in_play(self, stiffness: Array) -> None:
+        """Remove the shaft's torque within its play, since flanks push and do not pull."""
         if self.plant.play:
-            half = 0.5 * self.plant.play
-            self.torque -= stiffness[self.place] * np.clip(self.twist, -half, half)
-            self.torque *= (np.abs(self.twist) > half) & (self.torque * self.twist > 0.0)
+            half_play = 0.5 * self.plant.play
+            self.torque -= stiffness[self.lanes] * np.clip(self.twist, -half_play, half_play)
+            self.torque *= (np.abs(self.twist) > half_play) & (self.torque * self.twist > 0.0)
 
     def drive(self, drive: Array, transmitted: Array) -> None:
         """Add the effects' torques on the rotor.
 
-        transmitted : torque through the gear; below a pendulum that of the motor.
+        transmitted : torque through the gear [N*m]; of a motor with a pendulum its own torque.
         """
-        self.before.drive = self.after.drive = drive[self.place]
-        self.before.transmitted = self.after.transmitted = transmitted[self.place]
+        self.before.drive = self.after.drive = drive[self.lanes]
+        self.before.transmitted = self.after.transmitted = transmitted[self.lanes]
         if not self.pushes:
             return
         for ripple in self.plant.ripple:
@@ -330,11 +342,11 @@ class _Group:
         for drag in self.plant.drag:
             self.push -= drag(self.before)
 
-    def rub(self, level: Array) -> None:
-        """Scale the friction of this step."""
+    def scale_friction(self, level: Array) -> None:
+        """Scale the friction of this step in place."""
         if not self.rubs:
             return
-        friction = level[self.place]
+        friction = level[self.lanes]
         for added in self.plant.coulomb_added:
             friction += self.gain * added(self.after)
         for share in self.plant.coulomb_share:

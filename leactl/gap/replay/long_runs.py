@@ -42,18 +42,19 @@ MOST_STRETCHES = 16  # stretches of a run
 FEWEST_STRETCH_ROWS = 1 << 9  # rows of a stretch; a small share gives fewer stretches
 MOST_CANDIDATES = 1 << 10  # candidate stretches of a run to choose among
 STEPS_PER_ROW = 8  # steps of a replay in a sample above which the sample counts for more than a row
-MOST_UNBROKEN_RATIO = 2.0  # duration of a stretch, over the median one, above which it holds a pause
+MOST_UNBROKEN_RATIO = 2.0  # duration of a stretch over the median duration, above which the stretch holds a pause
 TEMPERATURE_MARGIN = 64  # samples of temperature on either side of a stretch, for smoothing
+# channels that show the current, or else the speed, of a stretch; the first that a run has counts
 CURRENT_CHANNELS = ("q_axis_current", "q_axis_current_reference", "torque_reference", "torque", "q_axis_voltage")
 SPEED_CHANNELS = ("velocity", "angle", "velocity_reference", "angle_reference")
 
 
 def read_records(paths: Sequence[Path], bench: BenchModel) -> dict[Path, list[Record]]:
-    """Read the runs of a case, each as one record, or as several stretches where it costs more than its share.
+    """Return the records of each run of a case: one, or several stretches where the run costs more than its share.
 
     Raises
     ------
-    InputError : no run file, one that is not as it was closed, or whose channels cannot be used; one line each.
+    InputError : a file is no run file, is not as it was closed, or has channels that cannot be used; one line each.
     """
     faults: list[str] = []
     costs: dict[Path, float] = {}
@@ -80,28 +81,31 @@ def read_records(paths: Sequence[Path], bench: BenchModel) -> dict[Path, list[Re
 
 
 def fair_share(costs: Sequence[float], total: float) -> float:
-    """Return the largest cost per run so that all runs together stay within `total`; infinite if none need be cut.
+    """Return the largest cost per run with which all runs together stay within `total`; infinite if no run need be cut.
 
     Runs that cost less leave more for the others.
     """
-    unassigned = total
-    for assigned, cost in enumerate(sorted(costs)):
-        share = unassigned / (len(costs) - assigned)
+    remaining = total
+    for assigned_count, cost in enumerate(sorted(costs)):
+        share = remaining / (len(costs) - assigned_count)
         if cost > share:
             return share
-        unassigned -= cost
+        remaining -= cost
     return math.inf
 
 
 def cost_of(run: Run, bench: BenchModel) -> float:
-    """Return the rows of a run on the clock of its drive; a row with many steps of a replay counts as several."""
+    """Return the rows of a run on the clock of its drive, where a row with many steps of a replay counts as several.
+
+    Infinite for a run whose clock has too many gaps, which is read in stretches.
+    """
     name = leading_stream(run)
     if name is None or run.rows[name] < 2:
         return 0.0
     rows = run.rows[name]
     stamps = run.values(name, "time", 0, min(rows, MOST_ROWS + 1))
     interval = bridging_interval(stamps)
-    clock_rows = float(stamps[-1] - stamps[0]) / interval if rows <= MOST_ROWS else rows  # a gap makes rows as well
+    clock_rows = float(stamps[-1] - stamps[0]) / interval if rows <= MOST_ROWS else rows  # gaps are bridged by rows
     return (
         math.inf
         if clock_rows > MOST_DURATION_RATIO * rows
@@ -110,15 +114,15 @@ def cost_of(run: Run, bench: BenchModel) -> float:
 
 
 def rows_per_sample(interval: float, bench: BenchModel) -> float:
-    """Return the number of rows that one sample counts for: above one if a replay takes many steps in a sample."""
+    """Return the number of rows that a sample counts for: above one if a replay takes many steps in a sample."""
     return max(1.0, steps_in_sample(bench, interval) / STEPS_PER_ROW)
 
 
 def leading_stream(run: Run) -> str | None:
     """Return the stream with most channels of drive and sensors; None where a run has only temperatures."""
-    fast = {name: sum(is_fast(spec) for spec in specs) for name, specs in run.streams.items()}
-    best = max(fast, key=lambda name: (fast[name], run.rows[name]), default=None)
-    return best if best is not None and fast[best] else None
+    channel_counts = {name: sum(is_fast(spec) for spec in specs) for name, specs in run.streams.items()}
+    busiest_stream = max(channel_counts, key=lambda name: (channel_counts[name], run.rows[name]), default=None)
+    return busiest_stream if busiest_stream is not None and channel_counts[busiest_stream] else None
 
 
 def is_fast(spec: ChannelSpec) -> bool:
@@ -127,9 +131,9 @@ def is_fast(spec: ChannelSpec) -> bool:
 
 
 def records_of(run: Run, share: float, bench: BenchModel) -> list[Record]:
-    """Read a long run as records: one of its temperatures, if any, and one for each stretch; the first has all notes.
+    """Return the records of a long run: of its temperatures, if any, and of each stretch; the first has all notes.
 
-    share : most rows to read.
+    share : largest number of rows to read.
 
     Raises
     ------
@@ -152,7 +156,7 @@ def records_of(run: Run, share: float, bench: BenchModel) -> list[Record]:
 
 
 def stretches_of(walk: "Walk", slow: Record | None) -> list[Record]:
-    """Read the stretches of a long run; each gets the run's highest speed and counts, which a stretch at rest lacks.
+    """Return the stretches of a long run, each with the run's highest speed and counts, which a stretch at rest lacks.
 
     Raises
     ------
@@ -179,30 +183,36 @@ def stretches_of(walk: "Walk", slow: Record | None) -> list[Record]:
 
 
 def stretch_of(walk: "Walk", start: int, stop: int, slow: Record | None) -> tuple[Record, Clocked]:
-    """Read rows of the leading stream with the other channels of that time; return the record and its fast clock."""
+    """Return the record of some rows of the leading stream, with other channels of that time, and its fast clock."""
     run = walk.run
     stamps = walk.values("time", start, stop)
     begin_time, end_time = float(stamps[0]), float(stamps[-1])
-    rows = {stream: (row_at(run, stream, begin_time), row_at(run, stream, end_time) + 1) for stream in run.streams}
-    rows[walk.stream] = start, stop
-    channels = [run.section(stream, spec, *rows[stream]) for stream, spec in channels_of(run) if is_fast(spec)]
+    rows_of_stream = {
+        stream: (row_at(run, stream, begin_time), row_at(run, stream, end_time) + 1) for stream in run.streams
+    }
+    rows_of_stream[walk.stream] = start, stop
+    channels = [
+        run.section(stream, spec, *rows_of_stream[stream]) for stream, spec in channels_of(run) if is_fast(spec)
+    ]
     record = record_of(run, channels, walk.interval)
     clock = record.fast
     assert clock is not None  # `record_of` raises where no channel is usable
-    temperatures = None if slow is None or slow.slow is None else temperatures_around(slow.slow, begin_time, end_time)
-    record = replace(record, slow=temperatures, stretch=f" from {begin_time - walk.begin:.6g} s")
+    temperature_clock = (
+        None if slow is None or slow.slow is None else temperatures_around(slow.slow, begin_time, end_time)
+    )
+    record = replace(record, slow=temperature_clock, stretch=f" from {begin_time - walk.begin:.6g} s")
     return record, replace(clock, begin=walk.begin)
 
 
 def whole_channels(run: Run) -> list[Channel]:
-    """Read every channel of a run, temperatures as means where they have many samples."""
+    """Return every channel of a run, temperatures as means where they have many samples."""
     return [run.section(stream, spec, 0, run.rows[stream]) for stream, spec in channels_of(run) if is_fast(spec)] + [
         read_means(run, stream, spec) for stream, spec in channels_of(run) if is_slow(spec.quantity)
     ]
 
 
 def channels_of(run: Run) -> list[tuple[str, ChannelSpec]]:
-    """Return the channels of a run with their streams; the last of two for one quantity and location in a stream."""
+    """Return the channels of a run with their streams; of equal quantity, role, location and stream, the last."""
     measured = [(stream, spec) for stream, specs in run.streams.items() for spec in specs if spec.quantity]
     return list(
         {(stream, spec.quantity, spec.role, spec.location): (stream, spec) for stream, spec in measured}.values()
@@ -210,7 +220,7 @@ def channels_of(run: Run) -> list[tuple[str, ChannelSpec]]:
 
 
 def slow_record(run: Run) -> Record | None:
-    """Read the temperatures of a whole run; None where it has none."""
+    """Return the record of a whole run's temperatures; None where no temperature has enough samples."""
     channels = [read_means(run, stream, spec) for stream, spec in channels_of(run) if is_slow(spec.quantity)]
     if not any(np.isfinite(channel.values).sum() >= FEWEST_SAMPLES for channel in channels):
         return None
@@ -218,20 +228,20 @@ def slow_record(run: Run) -> Record | None:
 
 
 def read_means(run: Run, stream: str, spec: ChannelSpec) -> Channel:
-    """Read a channel as at most `MOST_SLOW_ROWS` means over equal numbers of samples, stamped in their middle."""
+    """Return a channel as at most `MOST_SLOW_ROWS` means over equal numbers of samples, stamped with mean times."""
     rows = run.rows[stream]
-    width = -(-rows // MOST_SLOW_ROWS)
-    if width <= 1:
+    samples_per_mean = -(-rows // MOST_SLOW_ROWS)
+    if samples_per_mean <= 1:
         return run.section(stream, spec, 0, rows)
     times, values = [], []
-    for start, stop in blocks(rows - rows % width, width):
+    for start, stop in blocks(rows - rows % samples_per_mean, samples_per_mean):
         section = run.section(stream, spec, start, stop)
-        table = section.values.reshape(-1, width)
-        finite = np.isfinite(table)
-        count = finite.sum(axis=1)
-        sums = np.where(finite, table, 0.0).sum(axis=1)
-        times.append(section.time.reshape(-1, width).mean(axis=1))
-        values.append(np.where(count > 0, sums / np.maximum(count, 1), np.nan))
+        table = section.values.reshape(-1, samples_per_mean)
+        is_finite = np.isfinite(table)
+        finite_counts = is_finite.sum(axis=1)
+        sums = np.where(is_finite, table, 0.0).sum(axis=1)
+        times.append(section.time.reshape(-1, samples_per_mean).mean(axis=1))
+        values.append(np.where(finite_counts > 0, sums / np.maximum(finite_counts, 1), np.nan))
     return replace(run.section(stream, spec, 0, 1), time=np.concatenate(times), values=np.concatenate(values))
 
 
@@ -243,7 +253,7 @@ def blocks(rows: int, width: int) -> Iterator[tuple[int, int]]:
 
 
 def temperatures_around(clock: Clocked, begin_time: float, end_time: float) -> Clocked:
-    """Return the temperatures around a stretch."""
+    """Return the temperatures around a stretch, with `TEMPERATURE_MARGIN` samples on either side."""
     start, stop = np.searchsorted(clock.time, [begin_time, end_time])
     window = slice(max(int(start) - TEMPERATURE_MARGIN, 0), int(stop) + TEMPERATURE_MARGIN)
     return replace(
@@ -277,7 +287,7 @@ class Walk:
     stream: str
     interval: float  # s, usual interval of its samples
     length: int  # rows of a stretch
-    count: int  # of stretches, at most
+    count: int  # largest number of stretches
 
     @classmethod
     def of(cls, run: Run, share: float, bench: BenchModel) -> Self:
@@ -285,9 +295,9 @@ class Walk:
         name = leading_stream(run)
         assert name is not None  # only a run with a drive is read in stretches
         interval = bridging_interval(run.values(name, "time", 0, min(run.rows[name], MOST_ROWS)))
-        looked_at = max(min(int(share / rows_per_sample(interval, bench)), run.rows[name]), 2)
-        count = min(MOST_STRETCHES, max(looked_at // FEWEST_STRETCH_ROWS, 2))
-        return cls(run, name, interval, looked_at // count, count)
+        rows_to_read = max(min(int(share / rows_per_sample(interval, bench)), run.rows[name]), 2)
+        count = min(MOST_STRETCHES, max(rows_to_read // FEWEST_STRETCH_ROWS, 2))
+        return cls(run, name, interval, rows_to_read // count, count)
 
     @property
     def rows(self) -> int:
@@ -300,54 +310,60 @@ class Walk:
         return float(self.values("time", 0, 1)[0])
 
     def values(self, name: str, start: int, stop: int) -> Array:
-        """Read some rows of a channel of the leading stream."""
+        """Return some rows of a channel of the leading stream."""
         return self.run.values(self.stream, name, start, stop)
 
     def windows(self) -> list[tuple[int, int]]:
         """Return begin and end of the stretches to read, in rows of the leading stream.
 
-        There is one in each part of the run: the first, the last, and between them those that are farthest from all
-        chosen ones by mean and root mean square of current and speed, each in units of its range.
+        There is one in each part of the run: the first, the last, and between them the stretch of each part that is
+        farthest from all chosen ones by mean and root mean square of current and speed, each in units of its range.
         """
         rows = self.rows
         starts = np.linspace(0, rows - self.length, min(rows // self.length, MOST_CANDIDATES)).astype(np.intp)
         summaries = np.stack([self._summary(int(start)) for start in starts])
-        spans, features = summaries[:, 0], summaries[:, 1:]
-        unbroken = spans <= MOST_UNBROKEN_RATIO * np.median(spans)
-        ranges = np.ptp(features, axis=0)
-        features = (features - features.min(axis=0)) / np.where(ranges > 0.0, ranges, 1.0)
-        parts = [part[unbroken[part]] for part in np.array_split(np.arange(len(starts)), self.count)]
-        parts = [part for part in parts if len(part)]
-        chosen = sorted({int(parts[0][0]), int(parts[-1][-1])})
-        for part in parts[1:-1]:
-            distances = np.min(np.linalg.norm(features[part][:, None] - features[chosen][None], axis=2), axis=1)
-            chosen.append(int(part[np.argmax(distances)]))
+        durations, features = summaries[:, 0], summaries[:, 1:]
+        is_unbroken = durations <= MOST_UNBROKEN_RATIO * np.median(durations)
+        feature_ranges = np.ptp(features, axis=0)
+        features = (features - features.min(axis=0)) / np.where(feature_ranges > 0.0, feature_ranges, 1.0)
+        candidates_of_parts = [
+            candidates[is_unbroken[candidates]] for candidates in np.array_split(np.arange(len(starts)), self.count)
+        ]
+        candidates_of_parts = [candidates for candidates in candidates_of_parts if len(candidates)]
+        chosen = sorted({int(candidates_of_parts[0][0]), int(candidates_of_parts[-1][-1])})
+        for candidates in candidates_of_parts[1:-1]:
+            distances = np.min(np.linalg.norm(features[candidates][:, None] - features[chosen][None], axis=2), axis=1)
+            chosen.append(int(candidates[np.argmax(distances)]))
         return [(int(start), int(start) + self.length) for start in starts[sorted(chosen)]]
 
     def _summary(self, start: int) -> Array:
-        """Return the duration of a stretch, and mean and root mean square of current and speed in it."""
+        """Return the duration of a stretch [s], and mean and root mean square of its current and of its speed."""
         stop = start + self.length
         stamps = self.values("time", start, stop)
         summary = [stamps[-1] - stamps[0]]
-        for values in self._moving(start, stop, stamps):
+        for values in self._currents_and_speeds(start, stop, stamps):
             finite = values[np.isfinite(values)]
             summary += [float(np.mean(finite)), float(np.sqrt(np.mean(finite**2)))] if len(finite) else [0.0, 0.0]
         return np.asarray(summary, np.float64)
 
-    def _moving(self, start: int, stop: int, stamps: Array) -> Iterator[Array]:
-        """Yield current and speed of some rows, or the channels that replace them; an angle as its rate."""
-        for wanted in (CURRENT_CHANNELS, SPEED_CHANNELS):
-            spec = self._first_of(wanted)
+    def _currents_and_speeds(self, start: int, stop: int, stamps: Array) -> Iterator[Array]:
+        """Yield current and speed of some rows, or the channels that stand for them; an angle as its rate."""
+        for quantities in (CURRENT_CHANNELS, SPEED_CHANNELS):
+            spec = self._first_of(quantities)
             if spec is not None:
                 values = self.values(spec.name, start, stop)
                 yield speed_of_angle(values, stamps) if spec.quantity.startswith("angle") else values
 
     def _first_of(self, quantities: Sequence[str]) -> ChannelSpec | None:
+        """Return the test drive's channel of the first quantity that the leading stream has; None if it has none."""
         specs = {spec.quantity: spec for spec in reversed(self.run.streams[self.stream]) if spec.role == "test"}
         return next((specs[quantity] for quantity in quantities if quantity in specs), None)
 
     def drive_means_after(self, edges: Array) -> dict[str, Array]:
-        """Return mean and mean square of the current and mean square of the speed in the interval after each edge."""
+        """Return mean and mean square of the current and mean square of the speed in the interval after each edge.
+
+        edges : begin of each interval [s], ascending.
+        """
         sums: dict[str, Array] = {}
         counts: dict[str, Array] = {}
         rows = self.rows
@@ -355,20 +371,20 @@ class Walk:
         for start, stop in blocks(rows, 1):
             stamps = self.values("time", start, stop)
             interval_of_row = np.searchsorted(edges, stamps, side="right") - 1
-            powers: dict[str, Array] = {}
+            values_by_name: dict[str, Array] = {}
             if current is not None:
                 currents = self.values(current.name, start, stop)
-                powers = {"current_mean": currents, "current_squared": currents**2}
+                values_by_name = {"current_mean": currents, "current_squared": currents**2}
             if speed is not None:
                 speeds = self.values(speed.name, start, stop)
                 if speed.quantity == "angle":
                     speeds = speed_of_angle(speeds, stamps)
-                powers["speed_squared"] = speeds**2
-            for name, values in powers.items():
-                counted = np.isfinite(values) & (interval_of_row >= 0)
-                intervals = interval_of_row[counted]
+                values_by_name["speed_squared"] = speeds**2
+            for name, values in values_by_name.items():
+                is_counted = np.isfinite(values) & (interval_of_row >= 0)
+                intervals = interval_of_row[is_counted]
                 sums[name] = sums.get(name, np.zeros(len(edges))) + np.bincount(
-                    intervals, weights=values[counted], minlength=len(edges)
+                    intervals, weights=values[is_counted], minlength=len(edges)
                 )
                 counts[name] = counts.get(name, np.zeros(len(edges))) + np.bincount(intervals, minlength=len(edges))
         return {name: means_with_gaps_filled(total, counts[name]) for name, total in sums.items()}
@@ -391,15 +407,15 @@ class Walk:
 
 
 def speed_of_angle(angle: Array, stamps: Array) -> Array:
-    """Return the smoothed speed of an angle, at the mean interval of its stamps."""
+    """Return the smoothed speed [rad/s] of an angle, at the mean interval of its stamps [s]."""
     if len(angle) < 2:
         return np.zeros(len(angle))
     return np.asarray(smooth(np.gradient(angle)) * (len(angle) - 1) / (stamps[-1] - stamps[0]), np.float64)
 
 
 def means_with_gaps_filled(sums: Array, counts: Array) -> Array:
-    """Divide sums by counts, and interpolate where a count is zero."""
-    known = np.flatnonzero(counts > 0)
-    if len(known) == 0:
+    """Return the sums divided by the counts, interpolated where a count is zero."""
+    has_samples = np.flatnonzero(counts > 0)
+    if len(has_samples) == 0:
         return np.zeros(len(sums))
-    return np.interp(np.arange(len(sums)), known, sums[known] / counts[known])
+    return np.interp(np.arange(len(sums)), has_samples, sums[has_samples] / counts[has_samples])

@@ -2,8 +2,8 @@
 
 A turning rotor restarts every second from its measured state: its angle is an integral and would drift. A locked rotor
 does not restart, since friction preserves the state after the last move: all of its stretches are stepped at once, and
-those are repeated that did not begin at the end of the previous stretch. A tracked rotor is stepped likewise, since its
-start loses influence. A position servo runs through without a restart.
+those that did not begin in the end state of the previous stretch are stepped again. A tracked rotor is stepped
+likewise, since its start loses influence. A position servo runs through without a restart.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,24 +30,24 @@ from leactl.gap.replay.job import Job
 from leactl.gap.replay.lanes import LaneMotion, LaneState, step_lanes
 
 MOST_INTERVAL_RATIO = 0.5  # interval between samples over the time constant of drag; beyond it a start is not measured
-MOST_PASSES = 128  # passes of locked rotors; then one that never slides begins a stretch at the first guess
+MOST_PASSES = 128  # passes of locked rotors; a rotor that never slides keeps its first guess in later stretches
 TRACKED_PASSES = 3  # passes after which a tracked rotor's start has no influence
-MOST_MISMATCH = 3e-4  # of a stretch's start and the previous end, as a share of the largest torque
+MOST_MISMATCH = 3e-4  # difference of a stretch's start from the previous end, as a share of the largest drive torque
 
 
 def move(jobs: Sequence[Job]) -> None:
-    """Replay the motion of every job that has the inputs; the others get a note on what is missing."""
-    sets: dict[tuple[str, float, int], list[CutJob]] = {}
+    """Write the replayed motion into every job that has the inputs; the others get a note on what is missing."""
+    cuts_by_kind: dict[tuple[str, float, int], list[CutJob]] = {}
     for job in jobs:
         kind = stepping_kind(job)
         if kind is not None:
-            sets.setdefault((kind, round(job.step, 9), job.parts), []).append(cut_job(job, kind))
-    for (kind, _, _), cuts in sets.items():
+            cuts_by_kind.setdefault((kind, round(job.step, 9), job.parts), []).append(cut_job(job, kind))
+    for (kind, _, _), cuts in cuts_by_kind.items():
         # lanes of one bench side by side: its effects then act on all of them in one call
         cuts.sort(key=lambda cut: id(cut.job.plant))
         longest = max(cut.length for cut in cuts)
         for cut in cuts:
-            cut.take_length(longest)  # a servo that ends earlier continues at its last reference
+            cut.set_length(longest)  # a servo that ends earlier continues at its last reference
         if kind in ("locked", "tracked"):
             step_until_settled(cuts, kind)
         else:
@@ -77,8 +77,8 @@ def stepping_kind(job: Job) -> str | None:
     if job.clock.interval * damping > MOST_INTERVAL_RATIO * inertia and job.record.mechanical != "locked":
         job.notes.append(f"{name}: {1 / job.clock.interval:.3g} samples a second are too few to replay a motion")
         return None
-    driven = job.current is not None and model.torque_constant is not None
-    if not driven and logged_torque(job) is None and voltage_torque(job) is None:
+    driven_by_current = job.current is not None and model.torque_constant is not None
+    if not driven_by_current and logged_torque(job) is None and voltage_torque(job) is None:
         job.notes.append(
             f"{name}: a replay needs a current of the test drive and a torque_constant in the model, or its voltage and"
             " phase_resistance or feedforward"
@@ -105,10 +105,10 @@ def stepping_kind(job: Job) -> str | None:
 
 def add_tracking_current(job: Job) -> None:
     """Add the current for the tracking torque to the current of a tracked rotor."""
-    constant = job.plant.model.torque_constant
-    if job.current is None or job.current_mean is None or job.pull is None or constant is None:
+    torque_constant = job.plant.model.torque_constant
+    if job.current is None or job.current_mean is None or job.pull is None or torque_constant is None:
         return
-    extra_current = job.pull[: len(job.current)] / constant
+    extra_current = job.pull[: len(job.current)] / torque_constant
     job.current = job.current + extra_current
     job.current_mean = job.current_mean + 0.5 * (extra_current[1:] + extra_current[:-1])
 
@@ -121,32 +121,42 @@ def start_of(cut: CutJob, kind: str) -> LaneState:
         angle, velocity = starting_motion(job, samples)
     else:
         angle, velocity = cut.target[samples * job.parts], cut.target_speed[samples * job.parts]
-    c = constants_of(job)
+    constants = constants_of(job)
     drive = np.zeros(len(samples)) if kind == "servo" else cut.drive[samples * job.parts]
     load_drive = cut.load_drive[samples * job.parts] if cut.load_drive is not None else np.zeros(len(samples))
-    rubbing = np.tanh(velocity / 0.1)
-    net = drive - (c["damping"] + c["emf_damping"]) * velocity - c["friction"] * rubbing
-    load_net = load_drive - c["load_damping"] * velocity - c["load_friction"] * rubbing
+    sliding_share = np.tanh(velocity / 0.1)
+    net = drive - (constants["damping"] + constants["emf_damping"]) * velocity - constants["friction"] * sliding_share
+    load_net = load_drive - constants["load_damping"] * velocity - constants["load_friction"] * sliding_share
     twist = np.zeros(len(samples))
-    mass = c["inertia"]
-    if c["stiffness"]:
+    accelerated_inertia = constants["inertia"]
+    if constants["stiffness"]:
         # no ringing at the start: both rotors accelerate alike
-        mass = c["inertia"] + c["load_inertia"]
-        twist = twist_under_torque((c["load_inertia"] * net - c["inertia"] * load_net) / mass, job)
+        accelerated_inertia = constants["inertia"] + constants["load_inertia"]
+        twist = twist_under_torque(
+            (constants["load_inertia"] * net - constants["inertia"] * load_net) / accelerated_inertia, job
+        )
         net = net + load_net
-    half_step_velocity = velocity - 0.5 * job.step * net / mass * np.abs(rubbing)
-    load = half_step_velocity.copy()
-    measured = job.clock.get("angle") is not None or job.clock.get("velocity") is not None
-    if measured and kind != "servo" and job.plant.geared_load is not None and has_coupled_part(job):
-        load, twist = load_behind_teeth(job, c, samples)
-    return LaneState(angle, half_step_velocity, load, twist, np.sign(velocity) * np.abs(rubbing))
+    # velocities of the stepper lie half a step before the instants
+    half_step_velocity = velocity - 0.5 * job.step * net / accelerated_inertia * np.abs(sliding_share)
+    load_velocity = half_step_velocity.copy()
+    is_measured = job.clock.get("angle") is not None or job.clock.get("velocity") is not None
+    if is_measured and kind != "servo" and job.plant.geared_load is not None and has_coupled_part(job):
+        load_velocity, twist = load_behind_teeth(job, constants, samples)
+    return LaneState(angle, half_step_velocity, load_velocity, twist, np.sign(velocity) * np.abs(sliding_share))
 
 
-def load_behind_teeth(job: Job, c: Mapping[str, float], samples: Index) -> tuple[Array, Array]:
-    """Return speed [rad/s] and twist [rad], at some samples, of a load driven by the measured motion through play."""
+def load_behind_teeth(job: Job, constants: Mapping[str, float], samples: Index) -> tuple[Array, Array]:
+    """Return speed [rad/s] and twist [rad], at some samples, of a load driven by the measured motion through play.
+
+    constants : constants of the bench, from `constants_of`.
+    """
     _, speed = smooth_motion(job)
     load_constants = np.array(
-        [0.5 * job.plant.play, c["load_damping"] / c["load_inertia"], c["load_friction"] / c["load_inertia"]]
+        [
+            0.5 * job.plant.play,
+            constants["load_damping"] / constants["load_inertia"],
+            constants["load_friction"] / constants["load_inertia"],
+        ]
     )
     speeds, twists = follow_loads(speed[:: job.parts], job.clock.interval, *load_constants[:, None])
     return speeds[0, samples], twists[0, samples]
@@ -157,73 +167,90 @@ def twist_under_torque(torque: Array, job: Job) -> Array:
     return np.asarray(torque / constants_of(job)["stiffness"] + 0.5 * job.plant.play * np.sign(torque), np.float64)
 
 
-def step_stretches(cuts: Sequence[CutJob], picked: Sequence[Index], starts: Sequence[LaneState]) -> LaneMotion:
-    """Step some stretches of every cut."""
-    together = LaneState(*(np.concatenate(values) for values in zip(*(vars(s).values() for s in starts), strict=True)))
-    return step_lanes(lanes_of(cuts, picked), together)
+def step_stretches(cuts: Sequence[CutJob], stretches: Sequence[Index], starts: Sequence[LaneState]) -> LaneMotion:
+    """Return the motion of some stretches of every job, stepped side by side.
+
+    stretches : numbers of the stretches of each job.
+    starts : their states at the beginning, for each job.
+    """
+    joined_start = LaneState(
+        *(np.concatenate(values) for values in zip(*(vars(start).values() for start in starts), strict=True))
+    )
+    return step_lanes(lanes_of(cuts, stretches), joined_start)
 
 
 def step_until_settled(cuts: Sequence[CutJob], kind: str) -> None:
-    """Step the stretches of locked or tracked rotors until each begins at the end of the previous one."""
-    picked: list[Index] = [np.arange(cut.count) for cut in cuts]
+    """Step the stretches of locked or tracked rotors until each begins in the end state of the previous one.
+
+    The motion is written into the jobs. Only stretches whose start has changed are stepped again.
+    """
+    stretches: list[Index] = [np.arange(cut.count) for cut in cuts]
     starts = [locked_start(cut) if kind == "locked" else start_of(cut, kind) for cut in cuts]
     passes = min(max(cut.count for cut in cuts) + 1, MOST_PASSES) if kind == "locked" else TRACKED_PASSES
     for _ in range(passes):
         motion = step_stretches(
-            cuts, picked, [start.picked(lanes) for start, lanes in zip(starts, picked, strict=True)]
+            cuts, stretches, [start.of_lanes(lanes) for start, lanes in zip(starts, stretches, strict=True)]
         )
-        write_motion(cuts, picked, motion)
-        wrong: list[Index] = []
-        lane = 0
-        for cut, start, lanes in zip(cuts, starts, picked, strict=True):
+        write_motion(cuts, stretches, motion)
+        changed_stretches: list[Index] = []
+        first_lane = 0
+        for cut, start, lanes in zip(cuts, starts, stretches, strict=True):
             following = lanes[lanes + 1 < cut.count] + 1
-            ends = motion.end.picked(lane + np.arange(len(following)))
-            lane += len(lanes)
-            wrong.append(following[carry_over_ends(cut, start, following, ends)])
-        picked = wrong
-        if not any(len(lanes) for lanes in picked):
+            ends = motion.end.of_lanes(first_lane + np.arange(len(following)))
+            first_lane += len(lanes)
+            changed_stretches.append(following[carry_over_ends(cut, start, following, ends)])
+        stretches = changed_stretches
+        if not any(len(lanes) for lanes in stretches):
             return
 
 
 def carry_over_ends(cut: CutJob, start: LaneState, following: Index, ends: LaneState) -> npt.NDArray[np.bool_]:
-    """Set the starts of stretches to the ends of the previous ones; return the mask of those that differed."""
-    c = constants_of(cut.job)
-    spring = c["stiffness"] or c["tracking"]
-    impedance = np.sqrt(spring * c["inertia"])
-    mismatch = np.abs(ends.twist - start.twist[following]) * c["stiffness"]
-    mismatch = mismatch + np.abs(ends.angle - start.angle[following]) * c["tracking"]
+    """Set the starts of stretches to the ends of the previous ones where they differ; return the mask of those.
+
+    start : states at the beginning of all stretches, which are changed.
+    following : numbers of the stretches to compare.
+    ends : state at the end of the stretch before each of these.
+    """
+    constants = constants_of(cut.job)
+    spring_stiffness = constants["stiffness"] or constants["tracking"]
+    impedance = np.sqrt(spring_stiffness * constants["inertia"])
+    mismatch = np.abs(ends.twist - start.twist[following]) * constants["stiffness"]
+    mismatch = mismatch + np.abs(ends.angle - start.angle[following]) * constants["tracking"]
     mismatch = mismatch + np.abs(ends.velocity - start.velocity[following]) * impedance
-    mismatch = mismatch + np.abs(ends.bristle - start.bristle[following]) * c["friction"]
-    wrong = np.asarray(mismatch > MOST_MISMATCH * float(np.max(np.abs(cut.drive), initial=1e-9)))
+    mismatch = mismatch + np.abs(ends.bristle - start.bristle[following]) * constants["friction"]
+    differs = np.asarray(mismatch > MOST_MISMATCH * float(np.max(np.abs(cut.drive), initial=1e-9)))
     for name, values in vars(start).items():
-        values[following[wrong]] = getattr(ends, name)[wrong]
-    return wrong
+        values[following[differs]] = getattr(ends, name)[differs]
+    return differs
 
 
 def locked_start(cut: CutJob) -> LaneState:
     """Return a first guess of the start of each stretch of a locked rotor: friction as play, without ringing."""
-    c = constants_of(cut.job)
+    constants = constants_of(cut.job)
     parts, samples = cut.job.parts, cut.length * np.arange(cut.count)
     drive = cut.drive[::parts]
-    torque = play(drive, c["friction"])
+    torque = play(drive, constants["friction"])
     angle = cut.job.clock.get("angle")
     twist = twist_under_torque(torque, cut.job)
     resting_angle = (twist - float(np.mean(twist)))[samples] + (float(np.mean(angle)) if angle is not None else 0.0)
     torque = torque[samples]
     zeros = np.zeros(cut.count)
-    bristle = np.clip((drive[samples] - torque) / max(c["friction"], 1e-12), -1.0, 1.0)
+    bristle = np.clip((drive[samples] - torque) / max(constants["friction"], 1e-12), -1.0, 1.0)
     return LaneState(resting_angle, zeros, zeros.copy(), twist[samples], bristle)
 
 
-def write_motion(cuts: Sequence[CutJob], picked: Sequence[Index], motion: LaneMotion) -> None:
-    """Write the motion of the lanes into the jobs."""
-    lane = 0
-    for cut, lanes in zip(cuts, picked, strict=True):
-        own_lanes = slice(lane, lane + len(lanes))
-        lane += len(lanes)
-        if len(lanes) == 0:
+def write_motion(cuts: Sequence[CutJob], stretches: Sequence[Index], motion: LaneMotion) -> None:
+    """Write the motion of the lanes into the jobs.
+
+    stretches : numbers of each job's stretches, in the order of the lanes.
+    """
+    first_lane = 0
+    for cut, stretches_of_cut in zip(cuts, stretches, strict=True):
+        lanes_of_cut = slice(first_lane, first_lane + len(stretches_of_cut))
+        first_lane += len(stretches_of_cut)
+        if len(stretches_of_cut) == 0:
             continue
         for name in ("angle", "velocity", "torque", "load_velocity", "current", "pull"):
             values = getattr(motion, name)
             if values is not None:
-                cut.put(name, values[:, own_lanes], lanes)
+                cut.write(name, values[:, lanes_of_cut], stretches_of_cut)

@@ -14,24 +14,27 @@ from leactl.gap.replay.time_steps import FILTER_MEMORY, samples
 from leactl.gap.signals.smoothing import smooth, speeds
 from leactl.gap.signals.stamps import restamped
 
-STAMP_EQUATIONS = {"velocity": "velocity", "torque": "torque_channel", "q_axis_voltage": "voltage"}  # by channel
+# by channel: the equation that determines its stamps
+STAMP_EQUATIONS = {"velocity": "velocity", "torque": "torque_channel", "q_axis_voltage": "voltage"}
 
 
 def write_readings(job: Job) -> None:
     """Write the readings of the fast clock's channels that the run has and the replay determines."""
     clock = job.clock
-    steps = (len(clock.time) - 1) * job.parts
+    step_count = (len(clock.time) - 1) * job.parts
     if job.current is not None and job.current_mean is not None:
         # a servo's current may extend beyond the run
-        job.current, job.current_mean = job.current[: steps + 1], job.current_mean[:steps]
+        job.current, job.current_mean = job.current[: step_count + 1], job.current_mean[:step_count]
     readings: dict[str, Array | None] = {}
     if clock.get("q_axis_current_reference") is not None or job.clock.get("angle_reference") is not None:
         # without the loop's bandwidth the model cannot predict how a current follows its reference
-        followed = job.plant.model.bench.current_loop_bandwidth is not None or job.plant.model.drive is not None
-        flowing = current(job) if followed else None
-        if flowing is not None:  # without a reference the measured current is an input
-            flowing = np.where(clock.samples_without_reference("q_axis_current_reference"), np.nan, flowing)
-        readings["q_axis_current"] = flowing
+        has_loop = job.plant.model.bench.current_loop_bandwidth is not None or job.plant.model.drive is not None
+        current_reading = current(job) if has_loop else None
+        if current_reading is not None:  # without a reference the measured current is an input
+            current_reading = np.where(
+                clock.samples_without_reference("q_axis_current_reference"), np.nan, current_reading
+            )
+        readings["q_axis_current"] = current_reading
     if job.velocity is not None:
         readings["velocity"] = velocity(job) if clock.get("velocity") is not None else derived_speed(job)
         readings["torque"] = torque(job) if job.record.mechanical in ("locked", "coupled") else None
@@ -43,26 +46,26 @@ def write_readings(job: Job) -> None:
             job.fast[name, "test"] = restamped(values, clock.stamping.get(STAMP_EQUATIONS.get(name, "")))
     if volts is not None and clock.get("bus_voltage", "bench") is not None and job.plant.model.bench.bus_voltage:
         job.fast["bus_voltage", "bench"] = bus(job, volts)
-    turned = job.record.mechanical == "coupled"  # in other set-ups no replay includes the load actuator
-    if turned and job.load_velocity is not None and clock.get("velocity", "load") is not None:
+    turns_load = job.record.mechanical == "coupled"  # in other set-ups no replay includes the load actuator
+    if turns_load and job.load_velocity is not None and clock.get("velocity", "load") is not None:
         job.fast["velocity", "load"] = filtered_speed(job, job.load_velocity)
     for values in job.fast.values():
         values[: job.first + 1] = np.nan
 
 
 def current(job: Job) -> Array | None:
-    """Return the measured current, as instants or means; None where there is none."""
+    """Return the current reading [A] at the samples, as instants or means; None where the replay has no current."""
     if job.current is None or job.current_mean is None:
         return None
     if ("q_axis_current", "test") in job.clock.means:
-        flowing = means_over_samples(job.current_mean, job.parts)
+        winding_current = means_over_samples(job.current_mean, job.parts)
     else:
-        flowing = job.current[:: job.parts]
-    return job.plant.current_gain * flowing + job.plant.current_offset
+        winding_current = job.current[:: job.parts]
+    return job.plant.current_gain * winding_current + job.plant.current_offset
 
 
 def velocity(job: Job) -> Array:
-    """Return the velocity reading: encoder differences through the drive's filter."""
+    """Return the velocity reading [rad/s]: encoder differences through the drive's filter."""
     assert job.velocity is not None and job.angle is not None
     speed = job.velocity
     for error in job.plant.angle_error:
@@ -71,53 +74,58 @@ def velocity(job: Job) -> Array:
 
 
 def derived_speed(job: Job) -> Array:
-    """Return the smoothed rate of the angle, for runs that record no velocity."""
+    """Return the smoothed rate of the angle [rad/s], for runs that record no velocity."""
     assert job.velocity is not None
     return smooth(means_over_samples(job.velocity[: (len(job.clock.time) - 1) * job.parts], job.parts))
 
 
-def filtered_speed(job: Job, over_steps: Array, faults: Sequence[Becomes] = ()) -> Array:
-    """Return a speed over sub-steps after the sensor's errors and the model's velocity filter, at the samples."""
-    total = (len(job.clock.time) - 1) * job.parts
+def filtered_speed(job: Job, over_steps: Array, sensor_errors: Sequence[Becomes] = ()) -> Array:
+    """Return a speed [rad/s] at the samples after the sensor's errors and the model's velocity filter.
+
+    over_steps : speed over each sub-step.
+    sensor_errors : errors of the sensor.
+    """
+    step_count = (len(job.clock.time) - 1) * job.parts
     bandwidth = job.plant.model.bench.velocity_filter_bandwidth
 
-    def through(values: Array) -> Array:
-        for becomes in faults:
-            values = becomes(values, job.step)
+    def filtered(values: Array) -> Array:
+        """Return a speed after the errors and the filter, which starts in equilibrium."""
+        for transform in sensor_errors:
+            values = transform(values, job.step)
         if bandwidth:
             decay = float(np.exp(-2.0 * np.pi * bandwidth * job.step))
             values = lfilter([1.0 - decay], [1.0, -decay], values, zi=[decay * values[0]])[0]
         return values
 
-    steps = over_steps[:total]
-    steps = _from_starts(job, steps, through) if job.restarts else through(steps)
+    steps = over_steps[:step_count]
+    steps = _filtered_from_starts(job, steps, filtered) if job.restarts else filtered(steps)
     return np.concatenate([steps[:1], steps[job.parts - 1 :: job.parts]])
 
 
-def _from_starts(job: Job, steps: Array, through: Callable[[Array], Array]) -> Array:
-    """Filter stretch by stretch; at each start the filter's state comes from the measured motion before it."""
+def _filtered_from_starts(job: Job, steps: Array, filter_speed: Callable[[Array], Array]) -> Array:
+    """Return a speed filtered stretch by stretch, each from the filter state of the measured motion before it."""
     assert job.starts is not None
-    past = np.repeat(measured_speed(job)[1:], job.parts)
-    reach = samples(FILTER_MEMORY, job.plant.model.bench, job.clock.interval) * job.parts
+    measured_steps = np.repeat(measured_speed(job)[1:], job.parts)
+    memory = samples(FILTER_MEMORY, job.plant.model.bench, job.clock.interval) * job.parts
     filtered_steps = np.zeros_like(steps)
     edges = [*(int(start) * job.parts for start in job.starts), len(steps)]
     for begin, end in pairwise(edges):
         if begin < end:
-            history = past[max(0, begin - reach) : begin]
-            filtered_steps[begin:end] = through(np.concatenate([history, steps[begin:end]]))[len(history) :]
+            history = measured_steps[max(0, begin - memory) : begin]
+            filtered_steps[begin:end] = filter_speed(np.concatenate([history, steps[begin:end]]))[len(history) :]
     return filtered_steps
 
 
 def measured_speed(job: Job) -> Array:
-    """Return the speed from the encoder, else from the velocity channel."""
-    measured, clock = job.clock.get("angle"), job.clock
-    if measured is None:
+    """Return the measured speed [rad/s]: from the encoder, else from the velocity channel."""
+    angles, clock = job.clock.get("angle"), job.clock
+    if angles is None:
         return clock.values["velocity", "test"]
-    return smooth(speeds(measured, clock.interval))
+    return smooth(speeds(angles, clock.interval))
 
 
 def angle(job: Job) -> Array:
-    """Return the encoder's angle at the samples."""
+    """Return the encoder's reading of the angle [rad] at the samples."""
     assert job.angle is not None
     reading = job.angle[:: job.parts][: len(job.clock.time)]
     for error in job.plant.angle_error:
@@ -126,58 +134,66 @@ def angle(job: Job) -> Array:
 
 
 def torque(job: Job) -> Array:
-    """Return the torque channel: the sensor's reading of the shaft's torque after the channel's filter."""
+    """Return the torque channel [N*m]: the sensor's reading of the shaft's torque after the channel's filter."""
     assert job.torque is not None and job.angle is not None
-    total = (len(job.clock.time) - 1) * job.parts + 1
-    reading: Array = job.torque[:total]
-    time = np.arange(total, dtype=np.float64) * job.step
-    run = Course(time, job.step, job.angle[:total], reading)
-    for reads in job.plant.torque_reading:
-        reading = reads(run, reading)
+    instant_count = (len(job.clock.time) - 1) * job.parts + 1
+    reading: Array = job.torque[:instant_count]
+    time = np.arange(instant_count, dtype=np.float64) * job.step
+    course = Course(time, job.step, job.angle[:instant_count], reading)
+    for reading_of in job.plant.torque_reading:
+        reading = reading_of(course, reading)
     bandwidth = job.plant.model.bench.torque_filter_bandwidth
     if bandwidth:
         decay = float(np.exp(-2.0 * np.pi * bandwidth * job.step))
-        middle = 0.5 * (reading[1:] + reading[:-1])
-        late = lfilter([1.0 - decay], [1.0, -decay], middle, zi=[decay * reading[0]])[0]
-        reading = np.concatenate([reading[:1], late])
+        step_means = 0.5 * (reading[1:] + reading[:-1])
+        filtered = lfilter([1.0 - decay], [1.0, -decay], step_means, zi=[decay * reading[0]])[0]
+        reading = np.concatenate([reading[:1], filtered])
     return np.asarray(reading[:: job.parts], np.float64)
 
 
 def voltage(job: Job) -> Array | None:
-    """Return the drive's voltage: resistance, inductance, back-EMF and inverter loss; None where not determined."""
+    """Return the drive's voltage [V] with resistance, inductance, back-EMF and inverter loss; None where unknown."""
     model = job.plant.model
     if job.current is None or job.current_mean is None or model.phase_resistance is None:
         return None
     if job.velocity is None and job.record.mechanical != "locked":
         return None
     samples, parts = len(job.clock.time), job.parts
-    total = (samples - 1) * parts
-    speed = job.velocity[:total] if job.velocity is not None else np.zeros(total)
-    emf = np.full(samples, model.back_emf_constant or model.torque_constant or 0.0)
+    step_count = (samples - 1) * parts
+    speed = job.velocity[:step_count] if job.velocity is not None else np.zeros(step_count)
+    emf_constant = np.full(samples, model.back_emf_constant or model.torque_constant or 0.0)
     course = job.course()
-    for share in job.plant.magnet_share:
-        emf = emf * share(course)
+    for magnet_share in job.plant.magnet_share:
+        emf_constant = emf_constant * magnet_share(course)
     resistance = model.phase_resistance * resistance_share(job, job.winding)
-    lost = np.zeros(total)
-    for loses in job.plant.lost_voltage:
-        lost = lost + loses(job.current_mean)
+    lost_voltage = np.zeros(step_count)
+    for loss_at in job.plant.lost_voltage:
+        lost_voltage = lost_voltage + loss_at(job.current_mean)
     inductance = model.phase_inductance or 0.0
     if ("q_axis_voltage", "test") in job.clock.means:
-        flowing, turning = means_over_samples(job.current_mean, parts), means_over_samples(speed, parts)
-        change = np.diff(job.current[::parts], prepend=job.current[0]) / job.clock.interval
-        return resistance * flowing + inductance * change + emf * turning + means_over_samples(lost, parts)
-    flowing = job.current[::parts]
-    change = np.gradient(job.current, job.step)[::parts]
-    turning = np.concatenate([speed[:1], 0.5 * (speed + np.append(speed[1:], speed[-1]))[parts - 1 :: parts]])
-    lost_at_samples = np.concatenate([lost[:1], lost[parts - 1 :: parts]])
-    return np.asarray(resistance * flowing + inductance * change + emf * turning + lost_at_samples, np.float64)
+        winding_current, rotor_speed = means_over_samples(job.current_mean, parts), means_over_samples(speed, parts)
+        current_rate = np.diff(job.current[::parts], prepend=job.current[0]) / job.clock.interval
+        return (
+            resistance * winding_current
+            + inductance * current_rate
+            + emf_constant * rotor_speed
+            + means_over_samples(lost_voltage, parts)
+        )
+    winding_current = job.current[::parts]
+    current_rate = np.gradient(job.current, job.step)[::parts]
+    rotor_speed = np.concatenate([speed[:1], 0.5 * (speed + np.append(speed[1:], speed[-1]))[parts - 1 :: parts]])
+    loss_at_samples = np.concatenate([lost_voltage[:1], lost_voltage[parts - 1 :: parts]])
+    return np.asarray(
+        resistance * winding_current + inductance * current_rate + emf_constant * rotor_speed + loss_at_samples,
+        np.float64,
+    )
 
 
 def bus(job: Job, volts: Array) -> Array:
-    """Return the bus voltage under the power of the test drive: U = U0 - r P / U."""
-    source, resistance = job.plant.model.bench.bus_voltage or 0.0, job.plant.bus_resistance
+    """Return the bus voltage [V] under the power of the test drive: U = U0 - r P / U."""
+    idle_voltage, resistance = job.plant.model.bench.bus_voltage or 0.0, job.plant.bus_resistance
     if not resistance or job.current_mean is None:
-        return np.full(len(volts), source)
+        return np.full(len(volts), idle_voltage)
     power = volts * means_over_samples(job.current_mean, job.parts)
-    inner = np.maximum(source**2 - 4.0 * resistance * power, 0.0)
-    return np.asarray(0.5 * (source + np.sqrt(inner)), np.float64)
+    discriminant = np.maximum(idle_voltage**2 - 4.0 * resistance * power, 0.0)
+    return np.asarray(0.5 * (idle_voltage + np.sqrt(discriminant)), np.float64)

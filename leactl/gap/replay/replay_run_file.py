@@ -25,6 +25,7 @@ from leactl.runfile.write.run_info import RunInfo, new_run_id
 from leactl.runfile.write.writer import RunWriter
 
 Array = npt.NDArray[np.float64]
+# quantities that drive a replay, beside references and the current of the load
 INPUTS = ("line_current", "ambient_temperature", "drive_enabled")
 
 
@@ -39,18 +40,19 @@ class Simulated:
 
     def as_json(self) -> dict[str, Any]:
         """Return the summary as a document for other programs."""
-        answer = {"run": str(self.path), "simulated": self.simulated, "left_out": self.left_out, "notes": self.notes}
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in answer.items()}
+        document = {"run": str(self.path), "simulated": self.simulated, "left_out": self.left_out, "notes": self.notes}
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in document.items()}
 
 
 def simulate(model_file: Path, run_file: Path, out: Path | None = None) -> Simulated:
-    """Replay a run through a model and write the result with its inputs; by default next to the run.
+    """Replay a run through a model, write the result with its inputs, by default next to the run, and return a summary.
 
     Where an input is missing for longer than the usual reach, the result is NaN, and a note gives the interval.
 
     Raises
     ------
-    InputError : a file that cannot be used, a model that says nothing of this run, or an existing file at `out`.
+    InputError : a file that cannot be used, a model that determines no channel of this run, an existing file at `out`,
+        or a missing folder for it.
     """
     if out is not None:
         refuse_existing(out)
@@ -59,30 +61,30 @@ def simulate(model_file: Path, run_file: Path, out: Path | None = None) -> Simul
     model, document = read_model(model_file)
     job = replay(read_record(run_file), model)
     notes = tuple(dict.fromkeys(job.notes))
-    made = replayed_channels(job)
-    if not made:
+    replayed = replayed_channels(job)
+    if not replayed:
         raise InputError([f"{model_file}: {note}" for note in notes] or [f"{model_file}: says nothing of {run_file}"])
     if job.restarts:
         notes += ("the motion starts again every second from the measured state: an angle is an integral",)
     unknown: Mask | None = None
     if job.record.fast is not None:
-        unknown, missing = unknown_samples(job)
-        notes += tuple(missing)
+        unknown, interval_notes = unknown_samples(job)
+        notes += tuple(interval_notes)
     with Run.open(run_file) as run:
         channels_of_run = [(name, spec) for name, specs in run.streams.items() for spec in specs if spec.quantity]
         columns: dict[str, list[tuple[ChannelSpec, Array]]] = {}
         for name, spec in channels_of_run:
-            values = _column(run, name, spec, made, job, unknown)
+            values = _column(run, name, spec, replayed, job, unknown)
             if values is not None:
                 columns.setdefault(name, []).append((spec, values))
         path = _write(run, columns, document.text, out, run_file.parent)
-    written = {_named(spec) for column in columns.values() for spec, _ in column}
-    names = list(dict.fromkeys(_named(spec) for _, spec in channels_of_run))
-    by_model = {f"{quantity} of {role}" for quantity, role in made}
+    written_channels = {_channel_label(spec) for column in columns.values() for spec, _ in column}
+    names = list(dict.fromkeys(_channel_label(spec) for _, spec in channels_of_run))
+    channels_of_model = {f"{quantity} of {role}" for quantity, role in replayed}
     return Simulated(
         path,
-        tuple(name for name in names if name in written & by_model),
-        tuple(name for name in names if name not in written),
+        tuple(name for name in names if name in written_channels & channels_of_model),
+        tuple(name for name in names if name not in written_channels),
         notes,
     )
 
@@ -102,18 +104,23 @@ def _column(
     run: Run,
     stream: str,
     spec: ChannelSpec,
-    made: dict[Key, tuple[Clocked, Array]],
+    replayed: dict[Key, tuple[Clocked, Array]],
     job: Job,
     unknown: Mask | None,
 ) -> Array | None:
+    """Return the values of one channel to write: replayed, else as measured if it is an input; None for any other.
+
+    replayed : the channels that the model determines, with their clocks.
+    unknown : samples of the fast clock at which the replay is unknown.
+    """
     key = (spec.quantity, spec.role)
-    if key in made:
-        clock, values = made[key]
+    if key in replayed:
+        clock, values = replayed[key]
         time = run.time(stream)
-        answer = np.interp(time, clock.time, values)
+        column = np.interp(time, clock.time, values)
         if unknown is not None and clock is job.record.fast:
-            answer[np.interp(time, clock.time, unknown.astype(np.float64)) > 0.0] = np.nan
-        return answer
+            column[np.interp(time, clock.time, unknown.astype(np.float64)) > 0.0] = np.nan
+        return column
     is_input = spec.quantity in INPUTS or spec.quantity.endswith("_reference") or key == ("q_axis_current", "load")
     fed_by_supply = key == ("q_axis_voltage", "test") and voltage_feed(job.record, job.plant.model) is not None
     if is_input or fed_by_supply or (key == ("q_axis_current", "test") and job.current is not None):
@@ -125,15 +132,21 @@ def _column(
 def _write(
     run: Run, columns: dict[str, list[tuple[ChannelSpec, Array]]], model: str, out: Path | None, default_folder: Path
 ) -> Path:
+    """Write the run file of a replay and return its path.
+
+    columns : channels with their values, by stream.
+    model : text of the model file.
+    default_folder : folder of the file where `out` is not given.
+    """
     now = datetime.now(UTC)
-    about = {name: str(run.attributes.get(name, "")) for name in ("protocol", "bench", "actuator", "condition")}
+    labels = {name: str(run.attributes.get(name, "")) for name in ("protocol", "bench", "actuator", "condition")}
     sources = {name: text for name in ("protocol", "bench") if (text := run.source(name)) is not None}
     info = RunInfo(
-        run_id=new_run_id(f"{about['protocol']}-simulated", now),
-        protocol=about["protocol"],
-        bench=about["bench"],
-        actuator=about["actuator"],
-        condition=about["condition"],
+        run_id=new_run_id(f"{labels['protocol']}-simulated", now),
+        protocol=labels["protocol"],
+        bench=labels["bench"],
+        actuator=labels["actuator"],
+        condition=labels["condition"],
         operator="",
         simulated=True,
         mechanical=run.mechanical,
@@ -143,8 +156,10 @@ def _write(
         setup={name: value for name, value in run.setup.items() if name != "mechanical"},
         parameters=run.parameters,
     )
-    folder = default_folder if out is None else out.parent / f".{out.name}.{secrets.token_hex(4)}"
-    with RunWriter(folder, info, {name: [spec for spec, _ in column] for name, column in columns.items()}) as writer:
+    run_folder = default_folder if out is None else out.parent / f".{out.name}.{secrets.token_hex(4)}"
+    with RunWriter(
+        run_folder, info, {name: [spec for spec, _ in column] for name, column in columns.items()}
+    ) as writer:
         for name, column in columns.items():
             writer.append(name, run.time(name), np.stack([values for _, values in column], axis=1))
         for step in run.steps:
@@ -152,9 +167,10 @@ def _write(
     if out is None:
         return writer.path
     move_without_overwriting(writer.path, out)
-    folder.rmdir()
+    run_folder.rmdir()
     return out
 
 
-def _named(spec: ChannelSpec) -> str:
+def _channel_label(spec: ChannelSpec) -> str:
+    """Return a channel as "quantity of role"."""
     return f"{spec.quantity} of {spec.role}"

@@ -9,7 +9,7 @@ from leactl.gap.replay.job import Job
 from leactl.gap.signals.record import INTERPOLATION_REACH, Key, Mask, median_interval, near_stamps
 from leactl.gap.signals.rig import voltage_feed
 
-MOST_LISTED = 5  # stretches of a channel that a note lists
+MOST_LISTED = 5  # stretches of a channel without data that a note lists
 
 
 def unmeasured_samples(job: Job, key: Key) -> Mask:
@@ -45,32 +45,36 @@ def driving_channels(job: Job) -> Iterator[tuple[Key, Mask]]:
 def unknown_samples(job: Job) -> tuple[Mask, list[str]]:
     """Return the samples at which a replay is unknown, and a note for each channel that is missing there.
 
-    A motion that restarts is unknown from there until its next start, and from a start that was not measured.
+    A motion that restarts is unknown from such a sample until its next start, and after a start that was not measured.
     """
     clock = job.clock
     unknown = np.zeros(len(clock.time), bool)
     notes: list[str] = []
-    for (quantity, role), missing in driving_channels(job):
-        if missing.any():
-            unknown |= missing
-            notes.append(f"{job.record.path.name}: {quantity} of {role} is missing {interval_text(job, missing)}")
+    for (quantity, role), is_missing in driving_channels(job):
+        if is_missing.any():
+            unknown |= is_missing
+            notes.append(f"{job.record.path.name}: {quantity} of {role} is missing {interval_text(job, is_missing)}")
     if job.restarts and job.starts is not None:
-        measured = "angle" if clock.get("angle") is not None else "velocity"
-        lost = unmeasured_samples(job, (measured, "test"))
-        if lost[job.starts[job.starts < len(lost)]].any():
-            notes.append(f"{job.record.path.name}: {measured} of test is missing {interval_text(job, lost)}")
+        motion_quantity = "angle" if clock.get("angle") is not None else "velocity"
+        unmeasured_motion = unmeasured_samples(job, (motion_quantity, "test"))
+        if unmeasured_motion[job.starts[job.starts < len(unmeasured_motion)]].any():
+            notes.append(
+                f"{job.record.path.name}: {motion_quantity} of test is missing {interval_text(job, unmeasured_motion)}"
+            )
         for start, stop in zip(job.starts, [*job.starts[1:], len(unknown)], strict=True):
-            part = unknown[start:stop]
-            if lost[start:stop][:1].any():
-                part[:] = True
-            elif part.any():
-                part[int(np.argmax(part)) :] = True
+            unknown_in_stretch = unknown[start:stop]
+            if unmeasured_motion[start:stop][:1].any():
+                unknown_in_stretch[:] = True
+            elif unknown_in_stretch.any():
+                unknown_in_stretch[int(np.argmax(unknown_in_stretch)) :] = True
     return unknown, [f"{note}; what the model makes is NaN there, until the motion starts again" for note in notes]
 
 
-def interval_text(job: Job, missing: Mask) -> str:
-    """Return the time stretches of some samples as text."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(np.intp), [0]]))).reshape(-1, 2)
+def interval_text(job: Job, is_missing: Mask) -> str:
+    """Return the time intervals [s] of some samples as text."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_missing.astype(np.intp), [0]]))).reshape(-1, 2)
     time = job.clock.time
-    texts = [f"from {time[begin]:.6g} to {time[end - 1]:.6g} s" for begin, end in edges[:MOST_LISTED]]
-    return ", ".join(texts) + (f" and in {len(edges) - MOST_LISTED} more stretches" if len(edges) > MOST_LISTED else "")
+    interval_texts = [f"from {time[begin]:.6g} to {time[end - 1]:.6g} s" for begin, end in edges[:MOST_LISTED]]
+    return ", ".join(interval_texts) + (
+        f" and in {len(edges) - MOST_LISTED} more stretches" if len(edges) > MOST_LISTED else ""
+    )
