@@ -24,38 +24,38 @@ MECHANICAL_EQUATIONS = (
     twist.lock_angle,
 )
 FREE_ROTOR = ("free_torque", "reversal_torque")
-DECIMATION_FACTORS = (2, 4, 8, 16)  # by which a log's rate is divided where its encoder is coarse
+DECIMATION_FACTORS = (2, 4, 8, 16)  # factors by which a log's rate is divided where its encoder is coarse
 
 
 def free_rotor_equations(record: Record, fast: Signals, slow: Signals | None) -> list[Equation]:
-    """Return a free rotor's torque balance at the highest rate at which encoder noise does not mask acceleration.
+    """Return a free rotor's torque balances at the highest rate at which encoder noise does not mask acceleration.
 
     The log's own rate is kept for creeping motion, and where decimation does not help or leaves too few rows. The
     second equation has the rows that touch a reversal.
     """
-    logged = mechanical.free_torque(record, fast)
-    if logged is None:
+    logged_balance = mechanical.free_torque(record, fast)
+    if logged_balance is None:
         return []
-    as_logged = [logged, mechanical.reversal_torque(record, logged)]
-    if not mechanical.is_noisy(record, logged) or "creep" in fast.extra:
-        return as_logged
+    balances_as_logged = [logged_balance, mechanical.reversal_torque(record, logged_balance)]
+    if not mechanical.is_noisy(record, logged_balance) or "creep" in fast.extra:
+        return balances_as_logged
     assert record.fast is not None
     for factor in DECIMATION_FACTORS:
-        slower = replace(record, fast=decimated(record.fast, factor))
-        signals = fast_signals(slower, fast.model, slow)
+        slower_record = replace(record, fast=decimated(record.fast, factor))
+        signals = fast_signals(slower_record, fast.model, slow)
         assert signals is not None
-        add_rig_signals(slower, signals)
-        equation = mechanical.free_torque(slower, signals)
-        if equation is None or int(usable_rows(equation).sum()) < FEWEST_ROWS:
-            return as_logged  # too few rows are left
-        if not mechanical.is_noisy(slower, equation):
-            return [equation, mechanical.reversal_torque(slower, equation)]
-    return as_logged
+        add_rig_signals(slower_record, signals)
+        balance = mechanical.free_torque(slower_record, signals)
+        if balance is None or int(usable_rows(balance).sum()) < FEWEST_ROWS:
+            return balances_as_logged  # too few rows are left
+        if not mechanical.is_noisy(slower_record, balance):
+            return [balance, mechanical.reversal_torque(slower_record, balance)]
+    return balances_as_logged
 
 
 def equations(record: Record, model: Model) -> list[Equation]:
-    """Build every equation that the run's channels allow; `record.nominal_effects` subtracts its effects from them."""
-    built: list[Equation] = []
+    """Return every equation that the run's channels allow, less the nominal effects that `record` has."""
+    equations_of_run: list[Equation] = []
     slow = slow_signals(record, model)
     fast = fast_signals(record, model, slow)
     if fast is not None:
@@ -65,15 +65,17 @@ def equations(record: Record, model: Model) -> list[Equation]:
             *free_rotor_equations(record, fast, slow),
         ]
         candidates += [build(record, fast) for build in MECHANICAL_EQUATIONS]
-        built += [equation for equation in candidates if equation is not None]
+        equations_of_run += [equation for equation in candidates if equation is not None]
         if (axis_balance := axis.axis_torque(record, fast)) is not None:
-            built = [equation for equation in built if equation.name not in FREE_ROTOR] + [axis_balance]
+            equations_of_run = [equation for equation in equations_of_run if equation.name not in FREE_ROTOR] + [
+                axis_balance
+            ]
             note = axis.confounded_note(record, fast)
             record.notes += [note] if note is not None and note not in record.notes else []
         if voltage_feed(record, model) is not None:
             # each test of a voltage is a kind by itself: its own noise would let it fit that run and no other
-            built = [replace(equation, kind=VOLTAGE_KIND) for equation in built]
+            equations_of_run = [replace(equation, kind=VOLTAGE_KIND) for equation in equations_of_run]
     if slow is not None and record.slow is not None and not record.slow.aside:
         line_voltage = electrical.line_voltage(record, slow)
-        built += ([line_voltage] if line_voltage is not None else []) + thermal.temperatures(record, slow)
-    return built if record.nominal_effects is None else record.nominal_effects(built)
+        equations_of_run += ([line_voltage] if line_voltage is not None else []) + thermal.temperatures(record, slow)
+    return equations_of_run if record.nominal_effects is None else record.nominal_effects(equations_of_run)

@@ -13,13 +13,13 @@ from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
 SMOOTHING_WIDTHS = (4.0, 8.0, 12.0)  # samples, tried in this order
-MOST_INERTIAL_NOISE = 2e-3  # noise of the inertial torque over the torque of the voltage, both root mean square
+MOST_INERTIAL_NOISE = 2e-3  # root mean square of the inertial torque's noise over that of the voltage's torque
 ZERO_PRIOR = 0.1  # rad, prior error of the angle at which a pendulum hangs straight down
-TIMING_SAMPLES = 2.0  # samples, prior delay: reference and feedback both pass the servo's bus
+TIMING_SAMPLES = 2.0  # samples, prior error of a reference's time: reference and feedback both pass the servo's bus
 
 
 def axis_torque(record: Record, s: Signals) -> Equation | None:
-    """Return the torque balance of an axis, drive torque = J dw/dt + b w + f sgn(w) + load torque, where there is one.
+    """Return the torque balance of an axis, drive torque = J dw/dt + b w + f sgn(w) + load torque; None without one.
 
     It replaces the balance of the bench's free rotor where the axis is driven or loaded in another way, or creeps.
     """
@@ -29,41 +29,46 @@ def axis_torque(record: Record, s: Signals) -> Equation | None:
     if model.rotor_inertia is None or (s.mechanical == "coupled" and model.load.type == "none"):
         return None
     load, servo = load_of(record, model), drive_of(record, model)
-    driven = drive_torque(s)
-    if driven is None or not (servo or s.current is None or load.type != "none" or "creep" in s.extra):
+    drive_terms = drive_torque(s)
+    if drive_terms is None or not (servo or s.current is None or load.type != "none" or "creep" in s.extra):
         return None
-    torque, calibration, places = driven
-    hanging, inertia = load.level_torque, model.rotor_inertia
+    torque, calibration, places = drive_terms
+    level_torque, inertia = load.level_torque, model.rotor_inertia
     damping, friction = model.viscous_damping or 0.0, model.coulomb_friction or 0.0
     tilt = s.angle - load.hanging_angle if s.angle is not None else np.zeros_like(torque)
-    resisting = {
+    resisting_columns = {
         "rotor_inertia": inertia * s.acceleration,
         "viscous_damping": damping * s.velocity,
         "coulomb_friction": friction * s.sliding,
     }
     nuisance: dict[str, tuple[Array, float]] = {}
-    if hanging and s.angle is not None:
-        nuisance["load_zero_rad"] = (hanging * np.cos(tilt), ZERO_PRIOR)
+    if level_torque and s.angle is not None:
+        nuisance["load_zero_rad"] = (level_torque * np.cos(tilt), ZERO_PRIOR)
     if "servo_slope" in s.extra and model.torque_constant and model.phase_resistance:
-        timing_change = s.extra["servo_slope"] * slope(s.extra["servo_reference"], s.interval)
-        column = timing_change * model.torque_constant / model.phase_resistance
+        voltage_rate = s.extra["servo_slope"] * slope(s.extra["servo_reference"], s.interval)
+        column = voltage_rate * model.torque_constant / model.phase_resistance
         nuisance["reference_timing_s"] = (column, TIMING_SAMPLES * s.interval)
-    swung, shared = load.inertia, dict[str, tuple[Array, float]]()
-    torque_taken = sum(resisting.values()) + swung * s.acceleration + hanging * np.sin(tilt)
-    if (fed := voltage_feed(record, model)) is not None:
-        damping += fed.damping
+    load_inertia, shared = load.inertia, dict[str, tuple[Array, float]]()
+    resisting_torque = sum(resisting_columns.values()) + load_inertia * s.acceleration + level_torque * np.sin(tilt)
+    if (feed := voltage_feed(record, model)) is not None:
+        damping += feed.damping
         shared = stamp_columns("axis_torque", clock, _FEED_CHANNELS, -s.extra["fed"])
         if model.feedforward is None:
             # columns of the motion's torque, not of the voltage: else all torques would shrink together
-            calibration = {"phase_resistance": torque_taken, "torque_constant": -(torque_taken + s.extra["fed_emf"])}
+            calibration = {
+                "phase_resistance": resisting_torque,
+                "torque_constant": -(resisting_torque + s.extra["fed_emf"]),
+            }
         else:
             calibration = {"feedforward.kV": -s.extra["fed_emf"]}
-            resisting = {VOLT_PARAMETERS[name]: column for name, column in resisting.items() if name in VOLT_PARAMETERS}
+            resisting_columns = {
+                VOLT_PARAMETERS[name]: column for name, column in resisting_columns.items() if name in VOLT_PARAMETERS
+            }
     places["drag"] = lambda c: c
-    places["angle_reading"] = lambda c: _angle_error(c, s.interval, inertia + swung, damping)
+    places["angle_reading"] = lambda c: _angle_error(c, s.interval, inertia + load_inertia, damping)
     mask = moving_samples(s, clock.counts.get(("angle", "test"), 0.0))
     mask &= clock.all_valid(*((quantity, "test") for quantity in ("angle", *_DRIVE_CHANNELS)))
-    if fed is not None:
+    if feed is not None:
         mask &= clock.all_valid(*_FEED_CHANNELS)
     if "servo_share" in s.extra:
         share = s.extra["servo_share"]
@@ -73,13 +78,13 @@ def axis_torque(record: Record, s: Signals) -> Equation | None:
         "velocity" if servo is None else "angle",
         "test",
         "N" if clock.units.get(("angle", "test")) == "m" else model.units_of("N*m"),
-        torque - torque_taken,
+        torque - resisting_torque,
         s,
         np.asarray(mask, np.bool_),
         places,
-        calibration | resisting,
+        calibration | resisting_columns,
         shared=nuisance | shared,
-        width=1.0 if "creep" in s.extra else 4.0 if fed is None else fed_motor_width(clock, s, inertia + swung),
+        width=1.0 if "creep" in s.extra else 4.0 if feed is None else fed_motor_width(clock, s, inertia + load_inertia),
         step=2 if "creep" in s.extra else 8,
     )
 
@@ -91,15 +96,15 @@ _DRIVE_CHANNELS = ("q_axis_current", "q_axis_current_reference", "torque_referen
 
 
 def fed_motor_width(clock: Clocked, s: Signals, inertia: float) -> float:
-    """Return the least smoothing [samples] at which a fed motor's acceleration noise is small; else the largest.
+    """Return the least smoothing [samples] at which the acceleration noise of a fed motor is small; else the largest.
 
-    Small is `MOST_INERTIAL_NOISE`. The noise is in the torque of inertia: where it is large, a fit lowers the inertia
-    and names an effect instead.
+    The limit is `MOST_INERTIAL_NOISE`. Where the torque of inertia is noisier, a fit lowers the inertia and names an
+    effect instead.
     """
     noise = noise_of(clock.values["angle", "test"]) if s.angle is not None else 0.0
-    largest = MOST_INERTIAL_NOISE * float(np.sqrt(np.mean(s.extra["fed"] ** 2)))
+    largest_noise = MOST_INERTIAL_NOISE * float(np.sqrt(np.mean(s.extra["fed"] ** 2)))
     for width in SMOOTHING_WIDTHS:
-        if inertia * noise_of_acceleration(noise, s.interval, width) <= largest:
+        if inertia * noise_of_acceleration(noise, s.interval, width) <= largest_noise:
             return width
     return SMOOTHING_WIDTHS[-1]
 
@@ -113,11 +118,15 @@ def drive_torque(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]]
     if "fed" in s.extra:
         return s.extra["fed"] + s.extra["fed_emf"], {}, {}
     if s.current is None:
-        logged = s.extra.get("told")
-        if logged is None:
+        logged_torque = s.extra.get("told")
+        if logged_torque is None:
             return None
-        scale = model.torque_constant or 1.0  # a logged force counts as a current
-        return logged, {}, {"torque_factor": lambda c: -logged * c, "current_reading": lambda c: scale * c}
+        torque_per_reading = model.torque_constant or 1.0  # a logged force counts as a current
+        return (
+            logged_torque,
+            {},
+            {"torque_factor": lambda c: -logged_torque * c, "current_reading": lambda c: torque_per_reading * c},
+        )
     constant = model.torque_constant
     if constant is None:
         return None
@@ -129,20 +138,21 @@ def drive_torque(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]]
         # without a weight the gain is not identifiable, and would absorb a whole creep
         return torque, {}, {} if "creep" in s.extra else places
     resistance = model.phase_resistance or np.inf
-    emf = torque - constant * s.extra["servo_volts"] / resistance  # negative at positive speed
+    emf_torque = torque - constant * s.extra["servo_volts"] / resistance  # negative at positive speed
     places["voltage"] = lambda c: constant * s.extra["servo_share"] * c / resistance
-    places["emf_factor"] = lambda c: -emf * c
-    columns = {"phase_resistance": torque, "torque_constant": -(constant * current + emf)}
-    return torque, columns, places
+    places["emf_factor"] = lambda c: -emf_torque * c
+    calibration = {"phase_resistance": torque, "torque_constant": -(constant * current + emf_torque)}
+    return torque, calibration, places
 
 
 def _angle_error(column: Array, interval: float, inertia: float, damping: float) -> Array:
+    """Return the torque [N*m] that an error of the angle [rad] adds to the balance's inertia and damping."""
     speed = slope(smooth(column), interval)
     return -(inertia * slope(speed, interval) + damping * speed)
 
 
 def confounded_note(record: Record, s: Signals) -> str | None:
-    """Return a note on parameters that a rig with one mass at one length cannot separate; None without a servo."""
+    """Return a note on parameters that a rig with one mass at one length cannot separate; None for other rigs."""
     if "servo_volts" not in s.extra or s.model.load.type == "none":
         return None
     return (

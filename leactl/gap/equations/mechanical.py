@@ -27,31 +27,34 @@ Array = npt.NDArray[np.float64]
 SLOW_SHARE = 0.005  # share of a run's highest speed below which a shaft counts as slow: it may be at rest
 SWING_REACH = 8.0  # samples, Gaussian width over which a locked rotor's rate of torque is averaged
 SLOW_REACH = 4.0  # samples, Gaussian margin around slow samples of a coupled shaft, whose twist reverses there, too
-FREE_SLOW_REACH = 0.5  # the same for a free rotor, which needs almost none
+FREE_SLOW_REACH = 0.5  # samples, the same margin for a free rotor, which needs almost none
 FINER_ROWS, USUAL_ROWS = ((1.0, 2), (2.0, 4)), (4.0, 8)  # samples: smoothing of rows, and distance between rows
 MOST_FINE_ROW_NOISE = 0.01  # largest noise of an acceleration, relative to its size, at which finer rows are used
-MOST_ACCELERATION_NOISE = 0.1  # relative; a fit lowers the inertia by its square, so a lower rate is used beyond it
-STICKING_PRIOR = 0.5  # of nominal Coulomb friction
+MOST_ACCELERATION_NOISE = 0.1  # relative; a fit lowers the inertia by its square, so that above it a lower rate is used
+STICKING_PRIOR = 0.5  # prior relative change of the nominal Coulomb friction while it sticks
 
 
 def turning_samples(s: Signals, velocity: Array, reach: float) -> Mask:
-    """Return the samples around which the shaft turns in one direction and is not slow."""
+    """Return the mask of the samples around which the shaft turns in one direction and is not slow.
+
+    reach : samples, Gaussian width around a sample.
+    """
     return np.asarray(smooth(possibly_resting_samples(s, velocity).astype(float), reach) < 1e-3)
 
 
 def possibly_resting_samples(s: Signals, velocity: Array) -> Mask:
-    """Return the samples in which the shaft may be at rest."""
-    slowest = max(0.5 * s.count / s.interval, SLOW_SHARE * highest_speed(s, velocity))
-    return np.asarray(np.abs(velocity) <= slowest)
+    """Return the mask of the samples in which the shaft may be at rest."""
+    slow_limit = max(0.5 * s.count / s.interval, SLOW_SHARE * highest_speed(s, velocity))
+    return np.asarray(np.abs(velocity) <= slow_limit)
 
 
 def samples_near_rest(s: Signals, velocity: Array) -> Mask:
-    """Return the samples whose smoothing reaches a slow stretch that is no quick reversal.
+    """Return the mask of the samples whose smoothing reaches a slow stretch that is no quick reversal.
 
-    At rest friction equals the driving torque, and is unknown. A stretch is no quick reversal where the shaft continues
-    in the same direction, where it is longer than the smoothing reaches, and at either end of a run.
+    At rest friction equals the driving torque, and is unknown. A stretch is no quick reversal if the shaft continues in
+    the same direction, if the stretch is longer than the smoothing reaches, or if it lies at either end of a run.
     """
-    slow_samples, rests, reach = (
+    slow_samples, may_rest, reach = (
         possibly_resting_samples(s, velocity),
         np.zeros(len(velocity)),
         KERNEL_REACH * BASE_WIDTH,
@@ -59,8 +62,8 @@ def samples_near_rest(s: Signals, velocity: Array) -> Mask:
     edges = np.flatnonzero(np.diff(slow_samples.astype(np.int8), prepend=0, append=0))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         turns_back = begin > 0 and end < len(slow_samples) and velocity[begin - 1] * velocity[end] < 0.0
-        rests[begin:end] = not turns_back or end - begin > reach
-    return np.asarray(smooth(rests) > 0.0)
+        may_rest[begin:end] = not turns_back or end - begin > reach
+    return np.asarray(smooth(may_rest) > 0.0)
 
 
 def highest_speed(s: Signals, velocity: Array) -> float:
@@ -68,32 +71,37 @@ def highest_speed(s: Signals, velocity: Array) -> float:
     return max(s.fastest, float(np.quantile(np.abs(velocity), 0.999)))
 
 
-def sliding_samples(s: Signals, change: Array) -> Mask:
-    """Return the samples around which a locked rotor slides.
+def sliding_samples(s: Signals, torque_rate: Array) -> Mask:
+    """Return the mask of the samples around which a locked rotor slides.
 
-    Its torque changes there by its friction within its mechanical time constant.
+    Its torque changes there by its friction or more within its mechanical time constant.
+
+    torque_rate : rate of the torque [N*m/s].
     """
     model = s.model
-    rate = (model.coulomb_friction or 0.0) * (model.viscous_damping or 0.0) / (model.rotor_inertia or np.inf)
-    return np.asarray(smooth(np.abs(change), SWING_REACH) > rate)
+    least_rate = (model.coulomb_friction or 0.0) * (model.viscous_damping or 0.0) / (model.rotor_inertia or np.inf)
+    return np.asarray(smooth(np.abs(torque_rate), SWING_REACH) > least_rate)
 
 
 def free_torque(record: Record, s: Signals) -> Equation | None:
-    """Free rotor: K i = J dw/dt + b w + f sgn(w)."""
+    """Return the torque balance of a free rotor, K i = J dw/dt + b w + f sgn(w).
+
+    None where the rotor is not free, or a channel or parameter is missing.
+    """
     if s.mechanical != "free" or record.fast is None:
         return None
-    parts = rotor_torques(s)
-    if parts is None or s.velocity is None:
+    torques = rotor_torques(s)
+    if torques is None or s.velocity is None:
         return None
-    drive, calibration, places = parts
-    left_over = drive - sum(c for name, c in calibration.items() if name != "torque_constant")
+    drive, calibration, places = torques
+    left_over = drive - sum(column for name, column in calibration.items() if name != "torque_constant")
     calibration["torque_constant"] = -drive
     keys = ("q_axis_current", "test"), ("angle", "test")
     mask = turning_samples(s, s.velocity, FREE_SLOW_REACH) & s.resolved & record.fast.all_valid(*keys)
     mask &= ~samples_near_rest(s, s.velocity)
     shared = stamp_columns("free_torque", record.fast, keys, -drive)
-    stamp = {"torque_stamp_s": (slope(drive, s.interval), STAMP_TOLERANCE * s.interval / record.fast.decimation)}
-    stamp |= between_instants(record.fast, s)
+    nuisances = {"torque_stamp_s": (slope(drive, s.interval), STAMP_TOLERANCE * s.interval / record.fast.decimation)}
+    nuisances |= between_instants(record.fast, s)
     width, step = row_smoothing(record.fast, s, mask)
     return Equation(
         "free_torque",
@@ -105,7 +113,7 @@ def free_torque(record: Record, s: Signals) -> Equation | None:
         mask,
         places,
         calibration,
-        stamp,
+        nuisances,
         shared,
         rounding=noise_of_counts(s, width),
         width=width,
@@ -117,19 +125,24 @@ def free_torque(record: Record, s: Signals) -> Equation | None:
 def reversal_torque(record: Record, balance: Equation) -> Equation:
     """Return the balance in the rows around slow reversals, which the balance of a turning rotor leaves out.
 
-    Only there friction that builds up over an angle shows. Its course differs between bearings, so that a residual of
+    Friction that builds up over an angle shows only there. Its course differs between bearings, so that a residual of
     these rows does not make a machine unexplained.
+
+    balance : torque balance of the free rotor.
     """
     s = balance.signals
     assert record.fast is not None and s.velocity is not None
-    rests = samples_near_rest(s, s.velocity)
-    known = record.fast.all_valid(("q_axis_current", "test"), ("angle", "test"))
-    mask, around = s.resolved & known & ~rests, possibly_resting_samples(s, s.velocity) & ~rests
-    return replace(balance, name="reversal_torque", mask=mask, around=around, rough=True)
+    near_rest = samples_near_rest(s, s.velocity)
+    is_valid = record.fast.all_valid(("q_axis_current", "test"), ("angle", "test"))
+    mask, touched = s.resolved & is_valid & ~near_rest, possibly_resting_samples(s, s.velocity) & ~near_rest
+    return replace(balance, name="reversal_torque", mask=mask, touched=touched, rough=True)
 
 
 def noise_of_counts(s: Signals, width: float) -> float:
-    """Return the standard deviation of a row of torque due to the counts of the encoder."""
+    """Return the standard deviation [N*m] of a row of torque due to the counts of the encoder.
+
+    width : samples, smoothing of the row.
+    """
     return (s.model.rotor_inertia or 0.0) * noise_of_acceleration(s.count / math.sqrt(12.0), s.interval, width)
 
 
@@ -145,10 +158,10 @@ def between_instants(clock: Clocked, s: Signals) -> dict[str, tuple[Array, float
         return {}
     rate = np.nan_to_num(np.diff(reference, prepend=reference[:1])) / s.interval
     rate[np.abs(rate) > highest_speed(s, s.velocity)] = 0.0  # a step, which no shaft follows
-    usual = float(np.sqrt(np.mean(rate[rate != 0.0] ** 2))) if rate.any() else 0.0
-    if usual == 0.0:
+    usual_rate = float(np.sqrt(np.mean(rate[rate != 0.0] ** 2))) if rate.any() else 0.0
+    if usual_rate == 0.0:
         return {}
-    return {"between_instants_A": ((s.model.torque_constant or 0.0) / usual * smooth(rate), noise_of(current))}
+    return {"between_instants_A": ((s.model.torque_constant or 0.0) / usual_rate * smooth(rate), noise_of(current))}
 
 
 def is_noisy(record: Record, equation: Equation) -> bool:
@@ -165,12 +178,12 @@ def is_noisy(record: Record, equation: Equation) -> bool:
     if not equation.mask.any():
         return True
     noise = noise_of_acceleration(noise_of(angle), s.interval, USUAL_ROWS[0])
-    power = float(np.mean(smooth(s.acceleration, USUAL_ROWS[0])[equation.mask] ** 2))
-    return (1.0 + MOST_ACCELERATION_NOISE**2) * noise**2 > MOST_ACCELERATION_NOISE**2 * power
+    acceleration_power = float(np.mean(smooth(s.acceleration, USUAL_ROWS[0])[equation.mask] ** 2))
+    return (1.0 + MOST_ACCELERATION_NOISE**2) * noise**2 > MOST_ACCELERATION_NOISE**2 * acceleration_power
 
 
 def row_smoothing(clock: Clocked, s: Signals, mask: Mask) -> tuple[float, int]:
-    """Return the least smoothing of rows, and their distance, at which the noise of the acceleration is small.
+    """Return the least smoothing [samples] of rows at which acceleration noise is small, and their distance [samples].
 
     Less smoothing shows waves of higher orders over the angle.
     """
@@ -178,25 +191,28 @@ def row_smoothing(clock: Clocked, s: Signals, mask: Mask) -> tuple[float, int]:
     angle = clock.get("angle")
     if angle is None or not mask.any():
         return USUAL_ROWS
-    noise, quiet = noise_of(angle), MOST_FINE_ROW_NOISE * float(np.sqrt(np.mean(s.acceleration[mask] ** 2)))
+    noise, quiet_noise = noise_of(angle), MOST_FINE_ROW_NOISE * float(np.sqrt(np.mean(s.acceleration[mask] ** 2)))
     for width, step in FINER_ROWS:
-        if noise_of_acceleration(noise, s.interval, width) <= quiet:
+        if noise_of_acceleration(noise, s.interval, width) <= quiet_noise:
             return width, step
     return USUAL_ROWS
 
 
 def coupled_torque(record: Record, s: Signals) -> Equation | None:
-    """Torque channel of two coupled actuators: reading = K i - J dw/dt - b w - f sgn(w), filtered."""
+    """Return the equation of the torque channel between two actuators: reading = K i - J dw/dt - b w - f sgn(w).
+
+    None where the run is not coupled, or a channel or parameter is missing.
+    """
     if s.mechanical != "coupled" or record.fast is None or s.velocity is None:
         return None
-    parts, reading = rotor_torques(s), torque_reading(record.fast, s, 0.0)
-    if parts is None or reading is None:
+    torques, reading = rotor_torques(s), torque_reading(record.fast, s, 0.0)
+    if torques is None or reading is None:
         return None
-    drive, resisting, places_against = parts
-    left_over = reading - drive + sum(c for name, c in resisting.items() if name != "torque_constant")
-    calibration = {name: -column for name, column in resisting.items()}
+    drive, resisting_columns, resisting_places = torques
+    left_over = reading - drive + sum(c for name, c in resisting_columns.items() if name != "torque_constant")
+    calibration = {name: -column for name, column in resisting_columns.items()}
     calibration["torque_constant"] = drive
-    places = {name: _negative(effect_place) for name, effect_place in places_against.items()}
+    places = {name: _negative(effect_place) for name, effect_place in resisting_places.items()}
     places["torque_reading"] = lambda c: c
     keys = ("torque", "test"), ("q_axis_current", "test"), ("angle", "test")
     mask = turning_samples(s, s.velocity, SLOW_REACH) & s.resolved & record.fast.all_valid(*keys)
@@ -206,26 +222,29 @@ def coupled_torque(record: Record, s: Signals) -> Equation | None:
 
 
 def both_torque(record: Record, s: Signals) -> Equation | None:
-    """Both coupled actuators together, without a torque channel: K (i + i_load) = resisting torque of both rotors."""
+    """Return the balance of both coupled actuators together, K (i + i_load) = resisting torque of both rotors.
+
+    It needs no torque channel. None where the run is not coupled, or another channel or parameter is missing.
+    """
     clock = record.fast
     if s.mechanical != "coupled" or clock is None or s.velocity is None:
         return None
-    parts, load_current = rotor_torques(s), channel_means(clock, "q_axis_current", "load")
+    torques, load_current = rotor_torques(s), channel_means(clock, "q_axis_current", "load")
     load_velocity = clock.get("velocity", "load")
-    if parts is None or load_current is None or load_velocity is None:
+    if torques is None or load_current is None or load_velocity is None:
         return None
     model = s.model
-    drive, calibration, places = parts
+    drive, calibration, places = torques
     constant = model.torque_constant or 0.0
-    measured = smooth(interval_means(load_velocity))
-    acceleration = slope(measured, s.interval)
+    load_speed = smooth(interval_means(load_velocity))
+    acceleration = slope(load_speed, s.interval)
     load_drive = constant * smooth(load_current)
     inertia = (model.rotor_inertia or 0.0) * acceleration
     viscous, coulomb = model.load.frictions(model.viscous_damping, model.coulomb_friction)
-    damping = viscous * measured
+    damping = viscous * load_speed
     friction = coulomb * smooth(sharp_mean_signs(interval_means(load_velocity), noise_of(load_velocity)))
-    resisted = sum(c for name, c in calibration.items() if name != "torque_constant")
-    left_over = drive + load_drive - resisted - inertia - damping - friction
+    resisting_torque = sum(column for name, column in calibration.items() if name != "torque_constant")
+    left_over = drive + load_drive - resisting_torque - inertia - damping - friction
     calibration = dict(calibration)
     calibration["torque_constant"] = -drive - load_drive
     calibration["rotor_inertia"] = calibration["rotor_inertia"] + inertia
@@ -234,7 +253,7 @@ def both_torque(record: Record, s: Signals) -> Equation | None:
     keys = ("q_axis_current", "test"), ("q_axis_current", "load"), ("velocity", "load"), ("angle", "test")
     mask = (
         turning_samples(s, s.velocity, SLOW_REACH)
-        & turning_samples(s, measured, SLOW_REACH)
+        & turning_samples(s, load_speed, SLOW_REACH)
         & s.resolved
         & clock.all_valid(*keys)
     )
@@ -254,22 +273,27 @@ def both_torque(record: Record, s: Signals) -> Equation | None:
 
 
 def locked_torque(record: Record, s: Signals) -> Equation | None:
-    """Torque channel of a locked rotor while its current is constant: friction holds the state after the last move."""
-    return locked(record, s, "locked_torque", swinging=False)
+    """Return the equation of a locked rotor's torque channel at constant current: friction holds the last state."""
+    return locked_rotor_equation(record, s, "locked_torque", swinging=False)
 
 
 def swung_torque(record: Record, s: Signals) -> Equation | None:
-    """Torque channel of a locked rotor while its current changes: the same balance, with the rotor sliding."""
-    return locked(record, s, "swung_torque", swinging=True)
+    """Return the equation of a locked rotor's torque channel while its current changes and the rotor slides."""
+    return locked_rotor_equation(record, s, "swung_torque", swinging=True)
 
 
-def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | None:
-    """Torque channel of a locked rotor: the drive's torque with the play that sticking friction gives it."""
+def locked_rotor_equation(record: Record, s: Signals, name: str, swinging: bool) -> Equation | None:
+    """Return the equation of a locked rotor's torque channel: the drive's torque with the hysteresis of friction.
+
+    None where the rotor is not locked, or a channel or parameter is missing.
+
+    swinging : whether the rows are those in which the rotor slides.
+    """
     model = s.model
     if s.mechanical != "locked" or record.fast is None or s.current is None or s.torque is None:
         return None
-    inertia = (model.rotor_inertia or 0.0) / (model.bench.shaft_stiffness or np.inf)
-    reading = torque_reading(record.fast, s, inertia)
+    inertia_per_stiffness = (model.rotor_inertia or 0.0) / (model.bench.shaft_stiffness or np.inf)
+    reading = torque_reading(record.fast, s, inertia_per_stiffness)
     if reading is None or model.torque_constant is None:
         return None
     constant_column, places = derivative_by_constant(s, s.torque, model.torque_constant)
@@ -277,9 +301,9 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
     nuisance = (
         {f"sticking_{name}": (derivative_by_friction(s, s.torque), STICKING_PRIOR)} if model.coulomb_friction else {}
     )
-    change = slope(s.torque, s.interval)
+    torque_rate = slope(s.torque, s.interval)
     keys = ("torque", "test"), ("q_axis_current", "test")
-    mask = record.fast.all_valid(*keys) & (sliding_samples(s, change) == swinging)
+    mask = record.fast.all_valid(*keys) & (sliding_samples(s, torque_rate) == swinging)
     return Equation(
         name,
         "torque",
@@ -301,31 +325,38 @@ def locked(record: Record, s: Signals, name: str, swinging: bool) -> Equation | 
 
 
 def derivative_by_constant(s: Signals, torque: Array, constant: float) -> tuple[Array, dict[str, Place]]:
-    """Return the derivative of a locked rotor's torque with the relative torque constant, and the places of effects."""
+    """Return the derivative of a locked rotor's torque by the relative torque constant, and the places of effects.
+
+    torque : torque of the locked rotor under the nominal model.
+    constant : nominal torque constant [N*m/A].
+    """
     assert s.current is not None
-    drive, relative_change = constant * s.current, (locked_rotor_torque(s, 1.02, 1.0) - torque) / 0.02
-    sliding = np.where(np.abs(drive) > 1e-9, relative_change / np.where(np.abs(drive) > 1e-9, drive, 1.0), 0.0)
-    return relative_change, {
-        "torque_factor": lambda c: relative_change * c,
+    drive, derivative = constant * s.current, (locked_rotor_torque(s, 1.02, 1.0) - torque) / 0.02
+    transmitted_share = np.where(np.abs(drive) > 1e-9, derivative / np.where(np.abs(drive) > 1e-9, drive, 1.0), 0.0)
+    return derivative, {
+        "torque_factor": lambda c: derivative * c,
         "drag": lambda c: -c,
-        "current_reading": lambda c: -constant * c * np.clip(sliding, 0.0, 1.0),
+        "current_reading": lambda c: -constant * c * np.clip(transmitted_share, 0.0, 1.0),
     }
 
 
 def derivative_by_friction(s: Signals, torque: Array) -> Array:
-    """Return the derivative of a locked rotor's torque with the relative Coulomb friction."""
+    """Return the derivative of a locked rotor's torque by the relative Coulomb friction [N*m]."""
     return (locked_rotor_torque(s, 1.0, 1.05) - torque) / 0.05
 
 
 def rotor_torques(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None:
-    """Return drive torque, resisting torques by parameter, and the places of effects as resisting torques."""
+    """Return drive torque, resisting torques by parameter, and the places of effects as resisting torques.
+
+    None where a channel or parameter is missing.
+    """
     model = s.model
     if s.current is None or s.velocity is None or s.acceleration is None or s.sliding is None:
         return None
     if model.torque_constant is None or model.rotor_inertia is None:
         return None
     drive, inertia, damping = model.torque_constant * s.current, model.rotor_inertia, model.viscous_damping or 0.0
-    resisting = {
+    resisting_columns = {
         "rotor_inertia": inertia * s.acceleration,
         "viscous_damping": damping * s.velocity,
         "coulomb_friction": (model.coulomb_friction or 0.0) * s.sliding,
@@ -333,6 +364,7 @@ def rotor_torques(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]
     constant, interval = model.torque_constant, s.interval
 
     def angle_error(column: Array) -> Array:
+        """Return the resisting torque [N*m] that an error of the angle [rad] feigns."""
         speed = slope(smooth(column), interval)
         return -(inertia * slope(speed, interval) + damping * speed)
 
@@ -342,20 +374,24 @@ def rotor_torques(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]
         "current_reading": lambda c: constant * c,
         "angle_reading": angle_error,
     }
-    return drive, resisting, places
+    return drive, resisting_columns, places
 
 
 def torque_reading(clock: Clocked, s: Signals, inertia_per_stiffness: float) -> Array | None:
-    """Return the torque channel with its own filter inverted, and the inertial torque of a locked rotor added."""
+    """Return the torque channel [N*m] with its filter inverted, and the inertial torque of a locked rotor added.
+
+    inertia_per_stiffness : of a locked rotor on its shaft [s^2]; zero for a turning one.
+    """
     values = channel_means(clock, "torque")
     if values is None:
         return None
     reading = smooth(values)
-    change = slope(reading, s.interval)
+    rate = slope(reading, s.interval)
     if s.model.bench.torque_filter_bandwidth:
-        reading = reading + change / (2 * np.pi * s.model.bench.torque_filter_bandwidth)
-    return np.asarray(reading + inertia_per_stiffness * slope(change, s.interval), np.float64)
+        reading = reading + rate / (2 * np.pi * s.model.bench.torque_filter_bandwidth)
+    return np.asarray(reading + inertia_per_stiffness * slope(rate, s.interval), np.float64)
 
 
 def _negative(place: Place) -> Place:
+    """Return the place of an effect with the opposite sign."""
     return lambda c: -place(c)

@@ -16,7 +16,10 @@ VELOCITY_WIDTH = 4.0  # samples, smoothing of the rows
 
 
 def velocity(record: Record, s: Signals) -> Equation | None:
-    """Reported velocity with the model's filter inverted = change of the angle."""
+    """Return the equation of the velocity channel: the reading with the model's filter inverted is the angle's rate.
+
+    None where a channel is missing.
+    """
     clock = record.fast
     if clock is None or s.angle is None or s.velocity is None or s.calm_velocity is None:
         return None
@@ -44,21 +47,24 @@ def velocity(record: Record, s: Signals) -> Equation | None:
 
 def speed_noise_of_counts(s: Signals) -> float:
     """Return the standard deviation [rad/s] of a row of speed due to the counts of the encoder."""
-    spread = math.hypot(BASE_WIDTH, VELOCITY_WIDTH)
-    return s.count / math.sqrt(12.0) / s.interval * math.sqrt(1.0 / (4.0 * math.sqrt(math.pi) * spread**3))
+    width = math.hypot(BASE_WIDTH, VELOCITY_WIDTH)
+    return s.count / math.sqrt(12.0) / s.interval * math.sqrt(1.0 / (4.0 * math.sqrt(math.pi) * width**3))
 
 
 def filter_constant(s: Signals) -> float:
-    """Time constant of the model's velocity filter [s]."""
+    """Return the time constant [s] of the model's velocity filter; zero without one."""
     return 1 / (2 * np.pi * (s.model.bench.velocity_filter_bandwidth or np.inf))
 
 
 def load_lag(s: Signals) -> float:
-    """Return the prior delay [s] of the load's velocity: that of the test's, since the model has no load filter."""
+    """Return the prior delay [s] of the load's velocity: that of the test drive, since no model has a load filter."""
     return max(s.interval, filter_constant(s))
 
 
 def smooth_without_lag(values: Array, time_constant: float, interval: float) -> Array:
-    """Smooth values and invert a first-order lag."""
-    even = smooth(values)
-    return even + time_constant * slope(even, interval)
+    """Return values smoothed, with a first-order lag inverted.
+
+    time_constant, interval : of the lag, and between samples [s].
+    """
+    smoothed = smooth(values)
+    return smoothed + time_constant * slope(smoothed, interval)

@@ -13,7 +13,7 @@ from leactl.gap.signals.record import Record
 from leactl.model.thermal_network import ThermalNetwork
 
 Array = npt.NDArray[np.float64]
-START_PRIOR = 5.0  # K: a winding that begins hot cools by kelvins within the smoothing
+START_PRIOR = 5.0  # K, prior error of a start: a winding that begins hot cools by kelvins within the smoothing
 
 
 def temperatures(record: Record, s: Signals) -> list[Equation]:
@@ -26,20 +26,25 @@ def temperatures(record: Record, s: Signals) -> list[Equation]:
         return []
     network = ThermalNetwork(thermal, s.interval)
     winding, housing, ambient = s.winding, s.housing, s.ambient
-    wa, wh = thermal.winding_ambient_resistance, thermal.winding_housing_resistance
-    ha = thermal.housing_ambient_resistance
+    # thermal resistances [K/W]
+    winding_ambient, winding_housing = thermal.winding_ambient_resistance, thermal.winding_housing_resistance
+    housing_ambient = thermal.housing_ambient_resistance
     zeros = np.zeros_like(heat)
-    driven = network.temperatures(heat, ambient, (float(winding[0]), float(housing[0])))
-    flows = (winding - ambient) / wa, (winding - housing) / wh, (housing - ambient) / ha
+    network_temperatures = network.temperatures(heat, ambient, (float(winding[0]), float(housing[0])))
+    flows = (
+        (winding - ambient) / winding_ambient,
+        (winding - housing) / winding_housing,
+        (housing - ambient) / housing_ambient,
+    )
     to_ambient, to_housing, to_air = (means_after_samples(flow) for flow in flows)
-    in_winding, in_housing = (np.diff(node, append=node[-1]) / s.interval for node in (winding, housing))
+    winding_rate, housing_rate = (np.diff(node, append=node[-1]) / s.interval for node in (winding, housing))
     columns = {
         "thermal.winding_ambient_resistance": network.answer(to_ambient, zeros),
         "thermal.winding_housing_resistance": network.answer(to_housing, -to_housing),
         "thermal.housing_ambient_resistance": network.answer(zeros, to_air),
-        "thermal.winding_capacitance": network.answer(-thermal.winding_capacitance * in_winding, zeros),
-        "thermal.housing_capacitance": network.answer(zeros, -thermal.housing_capacitance * in_housing),
-        "ambient_offset": network.answer(zeros + 1 / wa, zeros + 1 / ha),
+        "thermal.winding_capacitance": network.answer(-thermal.winding_capacitance * winding_rate, zeros),
+        "thermal.housing_capacitance": network.answer(zeros, -thermal.housing_capacitance * housing_rate),
+        "ambient_offset": network.answer(zeros + 1 / winding_ambient, zeros + 1 / housing_ambient),
     }
     start_columns = {
         "winding_start": network.answer(zeros, zeros, (1.0, 0.0)),
@@ -47,20 +52,20 @@ def temperatures(record: Record, s: Signals) -> list[Equation]:
     }
     if record.mechanical != "heated":
         columns["phase_resistance"] = network.answer(heat, zeros)
-    # rises by the same network as the columns: a camera that reads a fraction of them only scales the network
-    heated = thermal.winding_capacitance * in_winding + to_ambient + to_housing
-    warmed = thermal.housing_capacitance * in_housing + to_air - to_housing
-    rises = network.answer(heated, warmed, (float(winding[0] - ambient[0]), float(housing[0] - ambient[0])))
-    balances = []
+    # rises by the same network as the columns: a camera that reads a fraction of the rises only scales the network
+    winding_heat = thermal.winding_capacitance * winding_rate + to_ambient + to_housing
+    housing_heat = thermal.housing_capacitance * housing_rate + to_air - to_housing
+    rises = network.answer(winding_heat, housing_heat, (float(winding[0] - ambient[0]), float(housing[0] - ambient[0])))
+    equations_of_nodes = []
     for node, name in enumerate(("winding", "housing")):
         key = (f"{name}_temperature", "test")
-        balances.append(
+        equations_of_nodes.append(
             Equation(
                 name,
                 key[0],
                 "test",
                 "degC",
-                clock.values[key] - driven[node],
+                clock.values[key] - network_temperatures[node],
                 s,
                 clock.all_valid(key, ("ambient_temperature", "bench")),
                 _places(network, node, rises[node]),
@@ -70,7 +75,7 @@ def temperatures(record: Record, s: Signals) -> list[Equation]:
                 step=1,
             )
         )
-    return balances
+    return equations_of_nodes
 
 
 def means_after_samples(values: Array) -> Array:
@@ -79,6 +84,10 @@ def means_after_samples(values: Array) -> Array:
 
 
 def _places(network: ThermalNetwork, node: int, rise: Array) -> dict[str, Place]:
+    """Return the places of effects in the equation of a node.
+
+    rise : temperature of the node above ambient [K].
+    """
     zeros = np.zeros_like(rise)
     return {
         "winding_heat": lambda c: np.asarray(network.answer(c, zeros)[node], np.float64),

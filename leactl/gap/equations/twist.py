@@ -1,8 +1,8 @@
 """Equations of a shaft's twist against its torque, between two actuators or at a locked one.
 
-The torque is the drive's less the resisting torque of the rotor, computed from model parameters. An error of one of
-them looks like an error of the stiffness, so each has a column here: a torque constant 3 % too low would otherwise be a
-shaft 3 % too soft.
+The torque is the drive's less the resisting torque of the rotor, computed from model parameters. An error of such a
+parameter looks like an error of the stiffness, so that each has a column here: a torque constant 3 % too low would
+otherwise be a shaft 3 % too soft.
 """
 
 import math
@@ -29,26 +29,31 @@ Array = npt.NDArray[np.float64]
 
 
 def shaft_twist(record: Record, s: Signals) -> Equation | None:
-    """Speed of one end against the other = change of the twist, torque / k."""
+    """Return the equation of the speed of one end against the other: rate of the twist, which is torque / k.
+
+    None where the run is not coupled, or a channel or parameter is missing.
+    """
     clock, stiffness = record.fast, s.model.bench.shaft_stiffness
     if clock is None or s.mechanical != "coupled" or stiffness is None:
         return None
-    load, test_velocity, parts = clock.get("velocity", "load"), clock.get("velocity"), rotor_torques(s)
-    if load is None or test_velocity is None or parts is None or s.torque is None or s.velocity is None:
+    load_velocity, test_velocity, torques = clock.get("velocity", "load"), clock.get("velocity"), rotor_torques(s)
+    if load_velocity is None or test_velocity is None or torques is None or s.torque is None or s.velocity is None:
         return None
-    drive, resisting, places_against = parts
+    drive, resisting_columns, resisting_places = torques
 
-    def twisting(torque: Array) -> Array:
+    def twist_rate(torque: Array) -> Array:
+        """Return the rate of the twist [rad/s] under a torque [N*m]."""
         return slope(torque, s.interval) / stiffness
 
-    def opposed(place: Place) -> Place:
-        return lambda c: -twisting(place(c))
+    def in_twist_rate(place: Place) -> Place:
+        """Return the place in this equation of an effect that resists with the torque of `place`."""
+        return lambda c: -twist_rate(place(c))
 
-    calibration = {name: -twisting(column) for name, column in resisting.items()}
-    calibration |= {"torque_constant": twisting(drive), "bench.shaft_stiffness": -twisting(s.torque)}
-    places = {name: opposed(place) for name, place in places_against.items()}
-    of_inertia = places["angle_reading"]
-    places["angle_reading"] = lambda c: slope(smooth(c), s.interval) + of_inertia(c)
+    calibration = {name: -twist_rate(column) for name, column in resisting_columns.items()}
+    calibration |= {"torque_constant": twist_rate(drive), "bench.shaft_stiffness": -twist_rate(s.torque)}
+    places = {name: in_twist_rate(place) for name, place in resisting_places.items()}
+    resisting_angle_error = places["angle_reading"]
+    places["angle_reading"] = lambda c: slope(smooth(c), s.interval) + resisting_angle_error(c)
     places["twist"] = lambda c: slope(c, s.interval)
     places["velocity_reading"] = lambda c: c
     keys = ("velocity", "load"), ("q_axis_current", "test"), ("angle", "test")
@@ -57,22 +62,25 @@ def shaft_twist(record: Record, s: Signals) -> Equation | None:
         "velocity",
         "load",
         "rad/s",
-        smooth_without_lag(test_velocity, filter_constant(s), s.interval) - smooth(load) - twisting(s.torque),
+        smooth_without_lag(test_velocity, filter_constant(s), s.interval)
+        - smooth(load_velocity)
+        - twist_rate(s.torque),
         s,
         clock.all_valid(*keys) & s.resolved & turning_samples(s, s.velocity, SLOW_REACH),
         places,
         calibration,
-        {"load_velocity_lag_s": (slope(smooth(load), s.interval), load_lag(s))},
-        stamp_columns("shaft", clock, keys, -smooth(load)),
+        {"load_velocity_lag_s": (slope(smooth(load_velocity), s.interval), load_lag(s))},
+        stamp_columns("shaft", clock, keys, -smooth(load_velocity)),
         width=2.0,
         step=4,
     )
 
 
 def lock_angle(record: Record, s: Signals) -> Equation | None:
-    """Angle of a locked rotor = where it was locked + torque / k.
+    """Return the equation of a locked rotor's angle: the angle at which it was locked, plus torque / k.
 
     Samples whose torque does not exceed the Coulomb friction are left out: friction alone may hold the rotor there.
+    None where the rotor is not locked, or a channel or parameter is missing.
     """
     clock, stiffness, constant = record.fast, s.model.bench.shaft_stiffness, s.model.torque_constant
     if clock is None or s.mechanical != "locked" or stiffness is None or s.torque is None or constant is None:
@@ -81,12 +89,13 @@ def lock_angle(record: Record, s: Signals) -> Equation | None:
     if angle is None:
         return None
     twist = s.torque / stiffness
-    constant_column, on_torque = derivative_by_constant(s, s.torque, constant)
+    constant_column, places_in_torque = derivative_by_constant(s, s.torque, constant)
 
-    def twisted(place: Place) -> Place:
+    def in_angle(place: Place) -> Place:
+        """Return the place in this equation of an effect on the torque at `place`."""
         return lambda c: place(c) / stiffness
 
-    places = {name: twisted(place) for name, place in on_torque.items()}
+    places = {name: in_angle(place) for name, place in places_in_torque.items()}
     places["twist"] = lambda c: c
     nuisance = {"lock_angle": (np.ones_like(twist), 0.1)}
     if s.model.coulomb_friction:
