@@ -1,4 +1,4 @@
-"""Diagnosis of a case: calibrate the model, search effects, judge them, and measure the gap on held-out runs."""
+"""Diagnosis of a case: calibrate the model, search for effects, judge them, and measure the gap on held-out runs."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -61,10 +61,10 @@ from leactl.vocabulary.effect import effect_definition
 MOST_UNEXPLAINED_SHARE = 0.2  # residual beyond noise over the squares that a set explains; beyond it no effect is named
 LEAST_CALIBRATION_GAIN = 25.0  # weighted squares that calibration must gain for the verdict `calibration`
 COURSE_POINTS = 64  # points of a voltage course
-SAME_COURSE_COSINE = 0.95  # cosine above which two voltage courses are the same; a ramp and a step have 0.87
+SAME_COURSE_COSINE = 0.95  # cosine of two voltage courses above which they are the same; a ramp and a step have 0.87
 FURTHER_STEPS = 2  # Gauss-Newton steps after the first: most effects multiply parameters that are calibrated
 Progress = Callable[[str], None]
-Channel = tuple[str, str, str]  # equation or quantity, quantity or role, and mechanical set-up
+Channel = tuple[str, str, str]  # equation, quantity and set-up; of a compared channel quantity, role and set-up
 
 
 @dataclass
@@ -81,8 +81,11 @@ class Case:
 
     def replayed(self) -> list[Record]:
         """Return the runs to simulate again: the held-out runs, and the fitted runs of kinds without a held-out run."""
-        kinds = {(record.kind, record.mechanical) for record in self.held_out}
-        return [*self.held_out, *(r for r in self.fitted if (r.kind, r.mechanical) not in kinds)]
+        kinds_held_out = {(record.kind, record.mechanical) for record in self.held_out}
+        return [
+            *self.held_out,
+            *(record for record in self.fitted if (record.kind, record.mechanical) not in kinds_held_out),
+        ]
 
     def of_records(self, records: Sequence[Record]) -> "Case":
         """Return the case with other records: the first `len(self.fitted)` are fitted, the following ones held out."""
@@ -91,11 +94,11 @@ class Case:
 
 
 def read_case(runs: Sequence[Path], held_out: Sequence[Path], model: Path) -> Case:
-    """Read the model and all runs of a case, and report all faults in one error.
+    """Return a case from its run files and model file; without held-out runs, some runs or stretches are held out.
 
     Raises
     ------
-    InputError : no run, files that cannot be used, or a run on both sides.
+    InputError : there is no run, a file cannot be used, or a run is both fitted and held out; one line for each.
     """
     if not runs:
         raise InputError("no run to diagnose; give one run file or more")
@@ -123,26 +126,29 @@ def read_case(runs: Sequence[Path], held_out: Sequence[Path], model: Path) -> Ca
 
 
 def hold_out_runs(records: list[Record]) -> tuple[list[Record], list[Record]]:
-    """Hold out the last run of every kind that occurs twice; if none does, hold out stretches of every run."""
-    kinds: dict[object, list[Path]] = {}
+    """Return fitted and held-out records: the last run of every kind that occurs twice is held out.
+
+    If no kind occurs twice, stretches of every run are held out.
+    """
+    paths_by_kind: dict[object, list[Path]] = {}
     courses: list[Array] = []
-    first_stretches: dict[Path, Record] = {}  # a long run is several records: its first one
+    first_records: dict[Path, Record] = {}  # of each run; a long run has several records
     for record in records:
-        first_stretches.setdefault(record.path, record)
-    for path, record in first_stretches.items():
+        first_records.setdefault(record.path, record)
+    for path, record in first_records.items():
         rig = tuple(record.setup.get(name) for name in RIG_ENTRIES)
-        kinds.setdefault((record.kind, record.mechanical, rig, course_index(record, courses)), []).append(path)
-    held_out_paths = [runs[-1] for runs in kinds.values() if len(runs) > 1]
+        paths_by_kind.setdefault((record.kind, record.mechanical, rig, course_index(record, courses)), []).append(path)
+    held_out_paths = [paths[-1] for paths in paths_by_kind.values() if len(paths) > 1]
     if held_out_paths:
-        return [r for r in records if r.path not in held_out_paths], [
-            r for path in held_out_paths for r in records if r.path == path
+        return [record for record in records if record.path not in held_out_paths], [
+            record for path in held_out_paths for record in records if record.path == path
         ]
     fitted, held_out = zip(*(record.hold_out_stretches() for record in records), strict=True)
     return list(fitted), list(held_out)
 
 
 def course_index(record: Record, courses: list[Array]) -> int:
-    """Return the index of the known voltage course that a run follows up to scale, -1 for a run no voltage drives.
+    """Return the index in `courses` of the voltage course that a run follows up to scale; -1 if no voltage drives it.
 
     A course that matches none of `courses` is appended to them. Logs of WPILib give all their tests the same name, and
     a ramp in one direction does not predict a step in the other.
@@ -159,7 +165,7 @@ def course_index(record: Record, courses: list[Array]) -> int:
 
 
 def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult:
-    """Diagnose a case: mend faults of the set-up first, then search the mended runs for effects.
+    """Return the diagnosis of a case: faults of the set-up are mended first, then the mended runs searched for effects.
 
     Causes come from the fitted runs alone, the shrinkage of the gap from the held-out runs. Faults of the set-up are
     searched in all runs, since each run may have its own. A fault that is recognised by comparing a channel with the
@@ -172,26 +178,26 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
     """
     progress("looking for faults of the set-up")
     faults, mended_case = mend_faults(case)
-    answer = diagnose_mended(mended_case, faults, progress)
+    diagnosis = diagnose_mended(mended_case, faults, progress)
     uncertain_faults = [fault for fault in faults if fault.shrinks]
-    if not uncertain_faults or answer.unexplained_probability < UNKNOWN_PROBABILITY:
-        return answer
+    if not uncertain_faults or diagnosis.unexplained_probability < UNKNOWN_PROBABILITY:
+        return diagnosis
     certain_faults, records = [fault for fault in faults if not fault.shrinks], [*case.fitted, *case.held_out]
     for fault in certain_faults:
         records = [fault.mend(record) for record in records]
     try:
-        partly_mended_answer = diagnose_mended(case.of_records(records), certain_faults, progress)
+        partly_mended_diagnosis = diagnose_mended(case.of_records(records), certain_faults, progress)
     except InputError:
-        return answer
+        return diagnosis
     named = any(
-        cause.family != "setup" and cause.probability >= NAMED_PROBABILITY for cause in partly_mended_answer.causes
+        cause.family != "setup" and cause.probability >= NAMED_PROBABILITY for cause in partly_mended_diagnosis.causes
     )
-    if not named or partly_mended_answer.unexplained_probability >= UNKNOWN_PROBABILITY:
-        return answer
+    if not named or partly_mended_diagnosis.unexplained_probability >= UNKNOWN_PROBABILITY:
+        return diagnosis
     not_named = tuple(
         f"not named: {fault.name}; an effect explains the runs without mending it" for fault in uncertain_faults
     )
-    return replace(partly_mended_answer, notes=(*not_named, *partly_mended_answer.notes))
+    return replace(partly_mended_diagnosis, notes=(*not_named, *partly_mended_diagnosis.notes))
 
 
 def mend_faults(case: Case) -> tuple[list[SetUpFault], Case]:
@@ -201,7 +207,7 @@ def mend_faults(case: Case) -> tuple[list[SetUpFault], Case]:
 
 
 def diagnose_mended(case: Case, faults: Sequence[SetUpFault], progress: Progress) -> DiagnosisResult:
-    """Diagnose the effects in mended runs, and list the faults of the set-up as the first causes.
+    """Return the diagnosis of the effects in mended runs, with the faults of the set-up as the first causes.
 
     Raises
     ------
@@ -210,17 +216,17 @@ def diagnose_mended(case: Case, faults: Sequence[SetUpFault], progress: Progress
     if not faults:
         return diagnose_effects(case, progress)
     try:
-        answer = diagnose_effects(case, progress)
+        diagnosis = diagnose_effects(case, progress)
     except InputError as error:  # without the channel at fault nothing can be checked: the fault is the answer
         details = {"calibrated": case.model, "augmented": case.model, "traces": (), "profiles": ()}
-        answer = DiagnosisResult("none", 0.0, notes=tuple(error.faults), extra=details)
-    causes = tuple(fault.as_cause() for fault in faults) + answer.causes
+        diagnosis = DiagnosisResult("none", 0.0, notes=tuple(error.faults), extra=details)
+    causes = tuple(fault.as_cause() for fault in faults) + diagnosis.causes
     notes = tuple(fault.note() for fault in faults)
-    return replace(answer, verdict="effect", causes=causes, notes=(*notes, *answer.notes))
+    return replace(diagnosis, verdict="effect", causes=causes, notes=(*notes, *diagnosis.notes))
 
 
 def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
-    """Diagnose the effects in runs whose channels are what their descriptions say.
+    """Return the diagnosis of the effects in runs whose channels are what their descriptions say.
 
     Raises
     ------
@@ -291,27 +297,27 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         calibrated_alone,
         [named] if servo_runs and named else [[cause] for cause in named],
         refit,
-        lambda tuned, augmented: shrinkage(
-            replayed, case.nominal or case.model, tuned, augmented, unexplained=case.unexplained
+        lambda calibrated, augmented: shrinkage(
+            replayed, case.nominal or case.model, calibrated, augmented, unexplained=case.unexplained
         ),
         bounded_fit=not servo_runs,
-        borne_out_by_equations={effect for (effect, _), tried in gains.items() if tried.least > 0.0 and not servo_runs},
+        borne_out_by_equations={effect for (effect, _), gain in gains.items() if gain.least > 0.0 and not servo_runs},
     )
     shrunk = applied.shrunk
     causes = confirmed_causes(causes, applied)
     if servo_runs:
         surprise = unexplained_in_channels(servo_answer.angle_error_ratios(shrunk.shrinkage, replayed), {})
-    located = where(replayed, shrunk.channels, applied.fitted.causes)
+    gap_regions = where(replayed, shrunk.channels, applied.fitted.causes)
     notes = condition_notes(case.fitted, case.held_out) + reading_notes([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
         notes += ("no kind of run occurs twice: held out are two sixteenths of each run",)
     calibrates = not applied.first_calibration_withdrawn and calibration_gains(evidence, searched)
-    names = {cause.effect for cause in applied.fitted.causes}
-    applied_forms = [candidate for candidate in searched.hypothesis if candidate[0] in names]
+    applied_effects = {cause.effect for cause in applied.fitted.causes}
+    applied_forms = [candidate for candidate in searched.hypothesis if candidate[0] in applied_effects]
     # what the withdrawn members explained is unexplained again
     if len(applied_forms) < len(searched.hypothesis) and not servo_runs:
-        rest_of_set = weighed_by_sound_noise(evidence, effect_sets.describe(evidence, list(applied_forms)))
-        unrest_by_run, lines = unrest_and_lines(evidence, rest_of_set)
+        applied_set = weighed_by_sound_noise(evidence, effect_sets.describe(evidence, list(applied_forms)))
+        unrest_by_run, lines = unrest_and_lines(evidence, applied_set)
         surprise = max(
             surprise, unexplained_in_channels(unrest(unrest_by_run), lines), key=lambda sign: sign.probability
         )
@@ -319,8 +325,11 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         not (applied_forms or servo_runs or names_at_bound(calibrated_alone))
         and surprise.probability < UNKNOWN_PROBABILITY
     ):
-        off = unexplained_in_a_run(unrest_by_run), unexplained_in_held_out(evidence, applied_forms, case.held_out)
-        surprise = max(surprise, *off, key=lambda sign: sign.probability)
+        signs_in_runs = (
+            unexplained_in_a_run(unrest_by_run),
+            unexplained_in_held_out(evidence, applied_forms, case.held_out),
+        )
+        surprise = max(surprise, *signs_in_runs, key=lambda sign: sign.probability)
     alternatives = [rival.candidate for item in judged for rival, _ in item.rivals]
     causes = draw_pictures(causes, evidence, applied_forms, alternatives, case.held_out)
     causes = draw_pictures_of_replays(causes, applied.fitted.causes, replayed, shrunk.channels)
@@ -333,7 +342,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     return DiagnosisResult(
         verdict_of(causes, surprise.probability, calibrates),
         surprise.probability,
-        located,
+        gap_regions,
         applied.fitted.calibration,
         causes,
         shrunk.shrinkage,
@@ -356,7 +365,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
             "augmented": applied.augmented,
             "standing": tuple(applied_forms),
             "traces": shrunk.traces,
-            "profiles": profiles(replayed, shrunk.channels, located),
+            "profiles": profiles(replayed, shrunk.channels, gap_regions),
         },
     )
 
@@ -366,7 +375,9 @@ def judged_on_held_out(
 ) -> tuple[dict[Candidate, HeldOutGain], list[Judged]]:
     """Return the gain of each member of a set on the held-out runs, and the judgement of each member."""
     gains = dict(zip(searched.hypothesis, held_out_gains(evidence, searched.hypothesis, case.held_out), strict=True))
-    return gains, judge(evidence, searched, {candidate: tried.gain for candidate, tried in gains.items()})
+    return gains, judge(
+        evidence, searched, {candidate: held_out_gain.gain for candidate, held_out_gain in gains.items()}
+    )
 
 
 def separate_classes(
@@ -405,7 +416,7 @@ def model_with(model: Model, evidence: Evidence, hypothesis: Sequence[Candidate]
 
 
 def weighed_by_sound_noise(evidence: Evidence, result: EffectSet) -> EffectSet:
-    """Return a set whose squares taken and left are weighted by a sound machine's noise where that is lower."""
+    """Return a set with its squares, taken and left, weighted by a sound machine's noise where that is lower."""
     squares_taken, squares_left = effect_sets.squares_taken_and_left(evidence, result.hypothesis, sound_noise=True)
     return replace(result, squares_taken=squares_taken, squares_left=squares_left)
 
@@ -422,14 +433,14 @@ def doubts_by_residual(
     result: EffectSet,
     causes: Sequence[Cause],
     surprise: Unexplained,
-    signs: tuple[Mapping[Channel, float], Mapping[Channel, Line]],
+    signs_by_channel: tuple[Mapping[Channel, float], Mapping[Channel, Line]],
 ) -> dict[str, str]:
     """Return the causes that an unexplained residual puts in doubt, by effect, with the reason.
 
-    signs : unrest and highest spectral line of each channel.
+    signs_by_channel : unrest and highest spectral line of each channel.
     """
     effects = [cause.effect for cause in causes]
-    if is_outweighed(evidence, result, *signs):
+    if is_outweighed(evidence, result, *signs_by_channel):
         return dict.fromkeys(effects, "too much is left beside what it explains")
     if surprise.probability < UNKNOWN_PROBABILITY or surprise.channel is None or surprise.channel[0] != "current":
         return {}
@@ -463,8 +474,8 @@ def is_outweighed(
         )
         for amounts in (result.squares_taken, result.squares_left)
     )
-    total = sum(member.gain for member in result.members) or 1.0
-    allowed_share = sum(allowed_residual_share(member.effect) * member.gain for member in result.members) / total
+    total_gain = sum(member.gain for member in result.members) or 1.0
+    allowed_share = sum(allowed_residual_share(member.effect) * member.gain for member in result.members) / total_gain
     return (
         unexplained_in_channels(judged_unrest, judged_lines).probability >= UNKNOWN_PROBABILITY
         and squares_left > allowed_share * squares_taken
@@ -484,7 +495,7 @@ def holds_column_of(rows: Rows, hypothesis: Sequence[Candidate]) -> bool:
 
 
 def refit_causes(evidence: Evidence, result: EffectSet, causes: Sequence[Cause]) -> FittedEffects:
-    """Fit the members of a set that some causes name, without the other members."""
+    """Return the members of a set that some causes name, fitted without the other members."""
     causes_by_effect = {cause.effect: cause for cause in causes}
     hypothesis = [candidate for candidate in result.hypothesis if candidate[0] in causes_by_effect]
     parameters, calibration = fit_with_further_steps(evidence, hypothesis)
@@ -507,12 +518,14 @@ def fit_with_further_steps(
     for _ in range(FURTHER_STEPS):
         hypothesis = [next_linearisation(evidence, fit, candidate) for candidate in hypothesis]
         # the ambient's offset stays at the model's value: its prior is in kelvin around that
-        ratios = [item for item in parameters if item.parameter != "ambient_offset"]
-        evidence = evidence.on(evidence.records, hypothesis, with_calibration(evidence.model, ratios))
+        relative_parameters = [item for item in parameters if item.parameter != "ambient_offset"]
+        evidence = evidence.on(evidence.records, hypothesis, with_calibration(evidence.model, relative_parameters))
         evidence.settle(hypothesis)  # forms are compared under the noise of this fit
         hypothesis = effect_sets.refine(evidence, hypothesis, shapes=False)
         fit = evidence.settle(hypothesis)
-        parameters = tuple(replace(p, nominal=nominal[p.parameter]) for p in calibrated_parameters(evidence, fit))
+        parameters = tuple(
+            replace(item, nominal=nominal[item.parameter]) for item in calibrated_parameters(evidence, fit)
+        )
     return {candidate[0]: effect_parameters(evidence, fit, candidate) for candidate in hypothesis}, parameters
 
 
@@ -538,12 +551,12 @@ def confirmed_causes(causes: Sequence[Cause], applied: Applied) -> tuple[Cause, 
 
 def causes_of(evidence: Evidence, result: EffectSet, judged: Sequence[Judged]) -> tuple[Cause, ...]:
     """Return the members of a set and their rivals as causes, the most probable first."""
-    total = sum(item.finding.gain for item in judged) or 1.0
+    total_gain = sum(item.finding.gain for item in judged) or 1.0
     causes: dict[str, Cause] = {}
     for item in judged:
         parameters = effect_parameters(evidence, result.fit, item.finding.candidate)
         plan = separating_experiment(item.finding.effect, item.peers)
-        share = item.finding.gain / total
+        share = item.finding.gain / total_gain
         causes[item.finding.effect] = Cause(
             item.finding.effect,
             item.probability,
@@ -557,7 +570,7 @@ def causes_of(evidence: Evidence, result: EffectSet, judged: Sequence[Judged]) -
         for rival, probability in item.rivals:
             if probability < LISTED_PROBABILITY or rival.effect in causes:
                 continue
-            other_members = [c for c in result.hypothesis if c != item.finding.candidate]
+            other_members = [candidate for candidate in result.hypothesis if candidate != item.finding.candidate]
             parameters = parameters_beside(evidence, other_members, rival.candidate)
             joint_probability = item.probability if rival.effect in item.peers else probability
             peers = (
@@ -568,13 +581,21 @@ def causes_of(evidence: Evidence, result: EffectSet, judged: Sequence[Judged]) -
             family = effect_definition(rival.effect).family
             causes[rival.effect] = Cause(rival.effect, joint_probability, 0.0, parameters, peers, family=family)
     members = {item.finding.effect for item in judged}
-    readings = {item.finding.effect for item in judged if acts_on_reading_alone(evidence, item.finding.candidate)}
-    # causes equally probable to a hundredth rank by their share of the gap
+    effects_on_reading = {
+        item.finding.effect for item in judged if acts_on_reading_alone(evidence, item.finding.candidate)
+    }
+    # by probability to a hundredth; of equals, those on more than a reading first, then members, then the larger share
     listed = [cause for cause in causes.values() if cause.probability >= LISTED_PROBABILITY]
     ranks = {
-        c.effect: (-round(c.probability, 2), c.effect in readings, c.effect not in members, -c.share) for c in listed
+        cause.effect: (
+            -round(cause.probability, 2),
+            cause.effect in effects_on_reading,
+            cause.effect not in members,
+            -cause.share,
+        )
+        for cause in listed
     }
-    return tuple(sorted(listed, key=lambda c: ranks[c.effect]))
+    return tuple(sorted(listed, key=lambda cause: ranks[cause.effect]))
 
 
 def acts_on_reading_alone(evidence: Evidence, candidate: Candidate) -> bool:
@@ -592,5 +613,5 @@ def parameters_beside(evidence: Evidence, others: list[Candidate], candidate: Ca
 def calibration_gains(evidence: Evidence, result: EffectSet) -> bool:
     """Return whether calibrating the nominal model lowers the misfit by more than `LEAST_CALIBRATION_GAIN`."""
     normal = evidence.normal()
-    keep = np.asarray([k for k, n in enumerate(evidence.stack.names) if n[0] == "nuisance"], np.intp)
-    return normal.solve(keep).misfit - result.fit.misfit > LEAST_CALIBRATION_GAIN
+    nuisance_columns = np.asarray([k for k, name in enumerate(evidence.stack.names) if name[0] == "nuisance"], np.intp)
+    return normal.solve(nuisance_columns).misfit - result.fit.misfit > LEAST_CALIBRATION_GAIN

@@ -5,10 +5,10 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 FORMAT, VERSION = "leactl-gap", 1
-LEAST_GAP_FLOORS = 1.1  # floors; a smaller gap is none
+LEAST_GAP_FLOORS = 1.1  # floors; a smaller distance counts as no gap
 MOST_REPLAY_MISS = 6.0  # floors, largest residual of a replay of the right model
 Verdict = Literal["none", "calibration", "effect", "unknown"]
-Presence = Literal["alike", "differs", "absent", "not asked"]  # of an effect of a simulator, in the real runs
+Presence = Literal["alike", "differs", "absent", "not asked"]  # of a simulator's effect in the real runs
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Region:
     low: float
     high: float
     units: str
-    within_turn: bool = False  # of an angle: whole turns are taken off
+    within_turn: bool = False  # whether whole turns are taken off an angle
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Where:
     calibrated_rms: float
     floor_rms: float
     region: Region | None = None
-    share: float = 0.0  # of the squared calibrated residual inside the region
+    share: float = 0.0  # share of the squared calibrated residual that lies inside the region
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class CalibratedParameter:
     parameter: str
     nominal: float
     fitted: float
-    std: float  # the prior's where these runs do not determine the parameter
+    std: float  # standard error; that of the prior where these runs do not determine the parameter
     units: str
     not_told_by_these_runs: bool = False  # it stays at its nominal value
 
@@ -60,7 +60,7 @@ class EffectParameter:
 
     name: str
     value: float
-    std: float
+    std: float  # standard error
     units: str
 
 
@@ -107,13 +107,13 @@ class Cause:
 
     effect: str
     probability: float
-    share: float
+    share: float  # of what all members of the set explain; for a set-up fault, of its channel's squared error
     parameters: tuple[EffectParameter, ...]
     indistinguishable_from: tuple[str, ...] = ()
     separating_experiment: str | None = None
     family: str = ""  # machine, sensor, drive, thermal or setup
-    change: str | None = None  # of a fault of the set-up: the line that undoes it
-    picture: Picture | None = None  # of an effect in the augmented model
+    change: str | None = None  # line that undoes a fault of the set-up
+    picture: Picture | None = None  # picture of an effect in the augmented model, or of an alternative to it
 
 
 @dataclass(frozen=True)
@@ -129,8 +129,8 @@ class Rest:
     """Unexplained residual of the channel that is farthest from a sound machine's, and what it depends on."""
 
     depends_on: tuple[str, ...]  # variables of the state, or time, or nothing that is logged
-    repeats_Hz: float | None  # noqa: N815 (a unit keeps its letter)  how often it repeats in time; None where it does not
-    closable: float | None  # share of the held-out gap that a free function of the state closes; None where no gap is
+    repeats_Hz: float | None  # noqa: N815 (a unit keeps its letter)  frequency of its sine in time; None without one
+    closable: float | None  # share of the held-out gap that a free function of the state closes; None without a gap
     quantity: str
     role: str
     mechanical: str
@@ -152,7 +152,7 @@ class Shrinkage:
     calibrated_rms: float
     augmented_rms: float
     floor_rms: float
-    closed: float | None = None
+    closed: float | None = None  # share of the calibrated gap that the effects close, with its 95 % interval
     closed_low: float | None = None
     closed_high: float | None = None
 
@@ -176,7 +176,7 @@ class EffectiveParameter:
     simulated_std: float
     real: float | None  # null where nothing is calibrated for the real runs
     real_std: float | None
-    differs: bool  # beyond both uncertainties
+    differs: bool  # whether the two differ beyond both uncertainties
     units: str
 
 
@@ -248,11 +248,12 @@ class DiagnosisResult:
         body.pop("extra")
         if self.simulator is None:
             body.pop("simulator")
-        clean: dict[str, Any] = _finite({"format": FORMAT, "format_version": VERSION, **body})
-        return clean
+        document: dict[str, Any] = _finite({"format": FORMAT, "format_version": VERSION, **body})
+        return document
 
 
 def _finite(value: Any) -> Any:
+    """Return a document with None in place of numbers that are not finite."""
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

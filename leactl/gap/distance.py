@@ -14,7 +14,7 @@ from leactl.runfile.read.reader import Channel, Run
 from leactl.runfile.verify.integrity import refuse_altered
 
 Array = npt.NDArray[np.float64]
-FEWEST_COMMON_SAMPLES = 10  # samples that both runs need of a channel
+FEWEST_COMMON_SAMPLES = 10  # samples of a channel that both runs need
 LONGEST_LAG_SHARE = 0.25  # longest lag that is tried, as a share of the common span
 
 
@@ -34,11 +34,11 @@ class Distance:
 
 
 def compare_runs(first: Path, second: Path) -> list[Distance]:
-    """Compare every channel that both runs have, at the stamps of the first, where both were recording.
+    """Return the distance of every channel that both runs have, at the stamps of the first, where both were recording.
 
     Raises
     ------
-    InputError : a file that cannot be used, no channel in common, or one in different units.
+    InputError : a file cannot be used, the runs have no channel in common, or one is in different units.
     """
     refuse_altered([first, second])
     with Run.open(first) as first_run, Run.open(second) as second_run:
@@ -52,7 +52,7 @@ def compare_runs(first: Path, second: Path) -> list[Distance]:
     if faults:
         raise InputError(faults)
     distances = [
-        distances for key in common if (distances := distance(first_channels[key], second_channels[key])) is not None
+        channel for key in common if (channel := distance(first_channels[key], second_channels[key])) is not None
     ]
     if not distances:
         raise InputError(f"{second}: no channel in common with {first} for {FEWEST_COMMON_SAMPLES} samples or more")
@@ -61,18 +61,20 @@ def compare_runs(first: Path, second: Path) -> list[Distance]:
 
 def distance(first: Channel, second: Channel) -> Distance | None:
     """Return the difference of two channels; None where they have too few common samples."""
-    first_valid, valid = np.isfinite(first.values), np.isfinite(second.values)
-    if valid.sum() < FEWEST_COMMON_SAMPLES:
+    first_valid, second_valid = np.isfinite(first.values), np.isfinite(second.values)
+    if second_valid.sum() < FEWEST_COMMON_SAMPLES:
         return None
-    stamps = second.time[valid]
-    inside = first_valid & (first.time >= stamps[0]) & (first.time <= stamps[-1])
-    inside &= near_stamps(
-        first.time, stamps, INTERPOLATION_REACH * max(bridging_interval(stamps), median_interval(first.time))
+    second_stamps = second.time[second_valid]
+    is_common = first_valid & (first.time >= second_stamps[0]) & (first.time <= second_stamps[-1])
+    is_common &= near_stamps(
+        first.time,
+        second_stamps,
+        INTERPOLATION_REACH * max(bridging_interval(second_stamps), median_interval(first.time)),
     )
-    if inside.sum() < FEWEST_COMMON_SAMPLES:
+    if is_common.sum() < FEWEST_COMMON_SAMPLES:
         return None
-    time, first_values = first.time[inside], first.values[inside]
-    second_values = np.interp(time, stamps, second.values[valid])
+    time, first_values = first.time[is_common], first.values[is_common]
+    second_values = np.interp(time, second_stamps, second.values[second_valid])
     difference = second_values - first_values
     correlation, lag = _likeness(time, first_values, second_values)
     return Distance(
@@ -89,9 +91,10 @@ def distance(first: Channel, second: Channel) -> Distance | None:
 
 
 def _likeness(time: Array, first: Array, second: Array) -> tuple[float | None, float | None]:
+    """Return the correlation of two channels, and the delay [s] of the second; None for both if either is constant."""
     first_centred, second_centred = first - first.mean(), second - second.mean()
-    size = float(np.sqrt(np.sum(first_centred**2) * np.sum(second_centred**2)))
-    if size <= 1e-12 * len(first_centred) * max(float(np.max(np.abs(first))), float(np.max(np.abs(second)))) ** 2:
+    scale = float(np.sqrt(np.sum(first_centred**2) * np.sum(second_centred**2)))
+    if scale <= 1e-12 * len(first_centred) * max(float(np.max(np.abs(first))), float(np.max(np.abs(second)))) ** 2:
         return None, None
     # the lag is found on an even clock; gaps are interpolated
     interval = float(np.median(np.diff(time)))
@@ -100,13 +103,14 @@ def _likeness(time: Array, first: Array, second: Array) -> tuple[float | None, f
         np.interp(even_times, time, second_centred), np.interp(even_times, time, first_centred), method="fft"
     )
     lags = correlation_lags(len(even_times), len(even_times))
-    near = np.abs(lags) <= LONGEST_LAG_SHARE * len(even_times)
-    return float(np.sum(first_centred * second_centred)) / size, float(
-        lags[near][np.argmax(correlations[near])] * interval
+    is_tried = np.abs(lags) <= LONGEST_LAG_SHARE * len(even_times)
+    return float(np.sum(first_centred * second_centred)) / scale, float(
+        lags[is_tried][np.argmax(correlations[is_tried])] * interval
     )
 
 
 def _channels(run: Run) -> dict[tuple[str, str, str], Channel]:
+    """Return the channels of a run by quantity, role and location."""
     channels = {}
     for specs in run.streams.values():
         for spec in specs:

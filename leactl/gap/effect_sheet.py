@@ -1,4 +1,4 @@
-"""Describe an effect: its equation, its channels, similar effects, the experiment that shows it, and its parameters."""
+"""Sheet of an effect: its equation, its channels, similar effects, the experiment that shows it, its parameters."""
 
 import inspect
 import sys

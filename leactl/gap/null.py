@@ -58,7 +58,7 @@ Array = npt.NDArray[np.float64]
 SOUND_MACHINES = 3  # number of simulated machines without an effect
 LEAST_COMMON_STDS = 2.0  # standard errors of the mean over all machines above which they show a common size
 TORQUE_CONSTANT = "torque_constant"
-MOST_STAMP_ERROR = 1.0  # samples; largest error of a stamp whose meaning the file does not give
+MOST_STAMP_ERROR = 1.0  # samples, largest error of a stamp whose meaning the file does not give
 SLOW_WIDTH = 8.0  # samples, smoothing of temperatures that drive a simulation
 
 
@@ -69,56 +69,57 @@ def measure(
     only: Sequence[Candidate] | None = None,
     seed: int = 0,
 ) -> Null:
-    """Simulate the runs of a case with sound machines, and fit the effects there.
-
-    only : forms of effects to fit, all if not given.
+    """Return the null of a case: the values that fits to its runs, simulated with sound machines, give.
 
     A voltage or a torque sensor determines the torque constant. Where such a channel is too noisy, the constant and all
     torques are biased towards zero together: then the machines are simulated again with constants on either side of the
     model's, and fits hold the model's constant. Where no such channel is logged, `Evidence` holds the constant in all
     fits.
+
+    machines : number of sound machines.
+    only : forms of effects to fit; all if not given.
     """
     random = np.random.default_rng(seed)
-    machines_runs = sound_runs(records, [model] * machines, random)
-    moved, held_parameters = unidentifiable_torque_constant(machines_runs, model)
+    runs_of_machines = sound_runs(records, [model] * machines, random)
+    torque_constant_change, held_parameters = unidentifiable_torque_constant(runs_of_machines, model)
     if held_parameters:
-        machines_runs = sound_runs(records, machines_with_spread(model, TORQUE_CONSTANT, machines), random)
-    values = NullValues()
-    for runs in machines_runs:
-        values.add_machine(Evidence(runs, model, only, held_parameters))
-    return values.null(values.parameters() | moved, held_parameters)
+        runs_of_machines = sound_runs(records, machines_with_spread(model, TORQUE_CONSTANT, machines), random)
+    null_values = NullValues()
+    for runs in runs_of_machines:
+        null_values.add_machine(Evidence(runs, model, only, held_parameters))
+    return null_values.null(null_values.parameters() | torque_constant_change, held_parameters)
 
 
 def unidentifiable_torque_constant(
-    machines_runs: Sequence[Sequence[Record]], model: Model
+    runs_of_machines: Sequence[Sequence[Record]], model: Model
 ) -> tuple[dict[str, tuple[float, float]], tuple[str, ...]]:
     """Return the torque constant's relative change (mean, scatter) and its name where the runs do not determine it.
 
     Both are empty otherwise. No effect is fitted: columns of effects take most of the time of a null, and a calibration
     needs none of them.
     """
-    calibrations = NullValues()
-    for runs in machines_runs:
+    null_values = NullValues()
+    for runs in runs_of_machines:
         evidence = Evidence(runs, model, only=())
         if evidence.tells_nothing_of(TORQUE_CONSTANT):  # no channel could determine it
             return {}, ()
         if evidence.stack.rows:
-            calibrations.add_calibration(evidence)
-    if TORQUE_CONSTANT not in calibrations.unidentifiable():
+            null_values.add_calibration(evidence)
+    if TORQUE_CONSTANT not in null_values.unidentifiable():
         return {}, ()
-    return {TORQUE_CONSTANT: calibrations.parameters()[TORQUE_CONSTANT]}, (TORQUE_CONSTANT,)
+    return {TORQUE_CONSTANT: null_values.parameters()[TORQUE_CONSTANT]}, (TORQUE_CONSTANT,)
 
 
 def with_simulator_runs(null: Null, records: Sequence[Record], model: Model) -> Null:
     """Return the null raised by the runs of the simulator whose nominal the model is.
 
-    The larger of both residual variances counts. The ratio to the noise does not, since a simulator may write no noise.
+    The larger residual variance of both counts. The ratio to the noise stays, since a simulator may write no noise.
     The size of each effect in the simulator's runs is combined with its floor in quadrature. Waves over the angle are
     excepted: they have one floor for all orders, and a simulator's wave of one order says nothing of another order.
     """
-    values = NullValues()
-    values.add_machine(Evidence(records, model, kept=null.kept))
-    simulator_null = values.null(null.moved, null.kept)
+    null_values = NullValues()
+    null_values.add_machine(Evidence(records, model, kept=null.kept))
+    simulator_null = null_values.null(null.moved, null.kept)
     variances = {key: max(variance, simulator_null.left.get(key, 0.0)) for key, variance in null.left.items()}
     floors = {
         effect: np.hypot(sizes, simulator_null.floors[effect]).tolist()
@@ -139,19 +140,19 @@ def with_simulator_runs(null: Null, records: Sequence[Record], model: Model) -> 
 def set_floors(evidence: Evidence, null: Null) -> None:
     """Set the floors of the evidence from the null.
 
-    Where the case gives a form of a shaped effect a smaller standard error than the sound machines' runs do (their
-    drive followed the reference where the real one was at a limit), its floor is multiplied by the ratio of the two
-    errors. The size that all machines have in common stays, and the size of a form without an error: one that no run
-    shows (infinite) or that runs without noise show exactly (zero).
+    The floor of a form of a shaped effect is multiplied by the ratio of its standard errors in the case and in the runs
+    of sound machines, if that is below one: their drive follows the reference where the real one is at a limit. Two
+    floors stay: the size that all machines have in common, and the floor of a form whose error is infinite, since no
+    run shows it, or zero, since runs without noise show it exactly.
     """
     evidence.compare_with(null)
-    for effect, items in fit_each_alone(evidence).items():
+    for effect, fits in fit_each_alone(evidence).items():
         if not library()[effect].shaped or (sizes := null.floors.get(effect)) is None:
             continue
-        pairs = zip(sizes, standard_errors(effect, items), null.errors[effect], strict=True)
+        sizes_and_errors = zip(sizes, standard_errors(effect, fits), null.errors[effect], strict=True)
         scaled = [
             size * min(case_error / sound_error, 1.0) if 0.0 < sound_error < math.inf else size
-            for size, case_error, sound_error in pairs
+            for size, case_error, sound_error in sizes_and_errors
         ]
         evidence.by_form[effect] = evidence.floors_of(effect, scaled)
 
@@ -163,15 +164,15 @@ class NullValues:
     unrest: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     left: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     white: dict[tuple[str, str], list[float]] = field(default_factory=dict)
-    sizes: dict[str, list[list[float]]] = field(default_factory=dict)  # by effect: machines, forms
-    errors: dict[str, list[list[float]]] = field(default_factory=dict)  # their standard errors
-    fits: dict[str, list[list[FurtherEffect | None]]] = field(default_factory=dict)  # behind both; none periodic
+    sizes: dict[str, list[list[float]]] = field(default_factory=dict)  # by effect: for each machine, by form
+    errors: dict[str, list[list[float]]] = field(default_factory=dict)  # standard errors of the sizes
+    fits: dict[str, list[list[FurtherEffect | None]]] = field(default_factory=dict)  # of effects that are not periodic
     lines: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
     moved: dict[str, list[float]] = field(default_factory=dict)
     priors: dict[str, float] = field(default_factory=dict)
 
     def add_calibration(self, evidence: Evidence) -> Fit:
-        """Add the relative changes of the parameters of one machine in a fit without effects."""
+        """Add the relative changes of one machine's parameters in a fit without effects; return the fit."""
         fit = evidence.settle([])
         self.priors = evidence.priors
         for column, value in zip(fit.columns, fit.values, strict=True):
@@ -191,12 +192,12 @@ class NullValues:
             self.left.setdefault(key, []).append(value)
         for key, value in evidence.white().items():
             self.white.setdefault(key, []).append(value)
-        for effect, items in fit_each_alone(evidence).items():
+        for effect, fits_of_forms in fit_each_alone(evidence).items():
             if not library()[effect].periodic:
-                self.fits.setdefault(effect, []).append(items)
-            if sizes := sizes_beyond_noise(effect, items):
+                self.fits.setdefault(effect, []).append(fits_of_forms)
+            if sizes := sizes_beyond_noise(effect, fits_of_forms):
                 self.sizes.setdefault(effect, []).append(sizes)
-                self.errors.setdefault(effect, []).append(standard_errors(effect, items))
+                self.errors.setdefault(effect, []).append(standard_errors(effect, fits_of_forms))
         for channel, line in highest_lines(evidence, fit, [True] * len(evidence.stack.rows)).items():
             self.lines.setdefault(channel, []).append(line.height)
 
@@ -204,7 +205,7 @@ class NullValues:
         """Return the null of all machines together.
 
         moved : by parameter, mean and scatter of its relative change.
-        kept : parameters that no fit may move.
+        kept : parameters that every fit holds.
         """
         return Null(
             {key: float(np.mean(values)) for key, values in self.unrest.items()},
@@ -226,7 +227,7 @@ class NullValues:
     def unidentifiable(self) -> tuple[str, ...]:
         """Return the parameters whose relative change in sound machines exceeds `MOST_PRIOR_CHANGE` times their prior.
 
-        A bias common to all machines counts in full for the torque constant, and as `bias_error` has it for the others.
+        A bias common to all machines counts in full for the torque constant, and as in `bias_error` for the others.
         A parameter that every fit holds is not among them.
         """
         return tuple(
@@ -248,20 +249,21 @@ def common_sizes(machines: Sequence[Sequence[FurtherEffect | None]]) -> list[flo
     of its inertia were loosely coupled.
     """
 
-    def of_form(fits: Sequence[FurtherEffect | None]) -> float:
-        items = [item for item in fits if item is not None]
-        if len(items) < len(fits):
+    def common_size(fits: Sequence[FurtherEffect | None]) -> float:
+        """Return the common size in one form from the fits of all machines."""
+        shown_fits = [item for item in fits if item is not None]
+        if len(shown_fits) < len(fits):
             return 0.0
-        mean = np.mean([item.directed for item in items], axis=0)
-        noise = float(np.mean([item.directed_variance for item in items])) / len(items)
-        square = float(mean @ mean)
-        return math.sqrt(square - noise) if square > LEAST_COMMON_STDS**2 * noise else 0.0
+        mean = np.mean([item.directed for item in shown_fits], axis=0)
+        noise_variance = float(np.mean([item.directed_variance for item in shown_fits])) / len(shown_fits)
+        squared_mean = float(mean @ mean)
+        return math.sqrt(squared_mean - noise_variance) if squared_mean > LEAST_COMMON_STDS**2 * noise_variance else 0.0
 
-    return [of_form(shown) for shown in zip(*machines, strict=True)] if len(machines) > 1 else []
+    return [common_size(fits) for fits in zip(*machines, strict=True)] if len(machines) > 1 else []
 
 
 def without_imitated_members(evidence: Evidence, result: EffectSet, seed: int = 0) -> EffectSet:
-    """Drop the members of a set that also show in a machine which has only the other members.
+    """Return a set without the members that also show in a machine which has only the other members.
 
     The equations' error for a large effect (its course within a sample, where friction reverses) may look like a
     smaller effect. For each member a machine with the other members is fitted and simulated through the same runs, and
@@ -282,21 +284,23 @@ def without_imitated_members(evidence: Evidence, result: EffectSet, seed: int = 
 def size_beside(
     evidence: Evidence, others: Sequence[Candidate], item: FurtherEffect, random: np.random.Generator
 ) -> float:
-    """Return the size, beyond noise, of an effect fitted to a machine with only the others; zero without any run."""
+    """Return the size beyond noise of an effect fitted to a machine with only the others; zero if no run is left."""
     # calibrated with the whole set: without the effect a similar parameter, as the shaft's stiffness, would replace it
     calibration = calibrated_parameters(evidence, evidence.settle([*others, item.candidate]))
     fit = evidence.settle(others)
-    acting = [(other[0], {p.name: p.value for p in effect_parameters(evidence, fit, other)}) for other in others]
-    machine = with_effects(with_calibration(evidence.model, calibration), acting)
-    (runs,) = sound_runs(evidence.records, [machine], random)
-    sound_evidence = Evidence(runs, evidence.model, only=[*others, item.candidate], kept=evidence.kept)
+    effects_of_others = [
+        (other[0], {p.name: p.value for p in effect_parameters(evidence, fit, other)}) for other in others
+    ]
+    machine = with_effects(with_calibration(evidence.model, calibration), effects_of_others)
+    (simulated_runs,) = sound_runs(evidence.records, [machine], random)
+    sound_evidence = Evidence(simulated_runs, evidence.model, only=[*others, item.candidate], kept=evidence.kept)
     if not sound_evidence.stack.rows:
         return 0.0
     sound_evidence.settle([*others, item.candidate])
-    refitted = fit_further_effect(
+    imitation = fit_further_effect(
         sound_evidence, sound_evidence.normal(), sound_evidence.stack.columns_of(others), item.candidate, any_size=True
     )
-    return math.sqrt(max(refitted.size**2 - refitted.std**2, 0.0)) if refitted is not None else 0.0
+    return math.sqrt(max(imitation.size**2 - imitation.std**2, 0.0)) if imitation is not None else 0.0
 
 
 def machines_with_spread(model: Model, parameter: str, count: int) -> list[Model]:
@@ -318,14 +322,14 @@ def machines_with_spread(model: Model, parameter: str, count: int) -> list[Model
 
 
 def sound_runs(records: Sequence[Record], machines: Sequence[Model], random: np.random.Generator) -> list[list[Record]]:
-    """Simulate the runs of a case with each of some sound machines; a run that cannot be simulated is left out."""
-    sets: list[list[Job]] = []
+    """Return the runs of a case simulated with each of some sound machines, without runs that cannot be simulated."""
+    jobs_of_machines: list[list[Job]] = []
     for machine in machines:
         plant = plant_of(machine)
         plant.give = float(random.choice(TRIED_GIVES))  # a model file does not contain it
-        sets.append([Job(with_smooth_inputs(record), plant, tracked=True) for record in records])
-    replay_all([job for jobs in sets for job in jobs])
-    for jobs in sets:
+        jobs_of_machines.append([Job(with_smooth_inputs(record), plant, tracked=True) for record in records])
+    replay_all([job for jobs in jobs_of_machines for job in jobs])
+    for jobs in jobs_of_machines:
         delay_unknown_stamps(jobs, random)
     return [
         [
@@ -333,18 +337,18 @@ def sound_runs(records: Sequence[Record], machines: Sequence[Model], random: np.
             for job, record in zip(jobs, records, strict=True)
             if (simulated := simulated_record(job, record, random))
         ]
-        for jobs in sets
+        for jobs in jobs_of_machines
     ]
 
 
 def delay_unknown_stamps(jobs: Sequence[Job], random: np.random.Generator) -> None:
     """Delay the channels of a machine's runs at random where the files do not say what a stamp means."""
-    current_late, reference_late, velocity_late = random.uniform(-MOST_STAMP_ERROR, MOST_STAMP_ERROR, 3)
+    current_delay, reference_delay, velocity_delay = random.uniform(-MOST_STAMP_ERROR, MOST_STAMP_ERROR, 3)
     ramped_reference = bool(random.integers(2))  # whether a reference ramps to its next value
     for job in jobs:
         unstamped = job.record.fast.unstamped if job.record.fast is not None else set()
         if job.current is not None and job.current_mean is not None and ("q_axis_current", "test") in unstamped:
-            delay = float(current_late + reference_late) * job.parts
+            delay = float(current_delay + reference_delay) * job.parts
             job.current, job.current_mean = (
                 delayed(
                     uniform_filter1d(values, job.parts, origin=(job.parts - 1) // 2) if ramped_reference else values,
@@ -355,9 +359,9 @@ def delay_unknown_stamps(jobs: Sequence[Job], random: np.random.Generator) -> No
             )
         if job.current is None and job.angle is not None and ("q_axis_voltage", "test") in unstamped:
             # only the delay between a voltage and the motion that it makes can be observed
-            job.angle = delayed(job.angle, -float(current_late + reference_late) * job.parts, 1.0)
+            job.angle = delayed(job.angle, -float(current_delay + reference_delay) * job.parts, 1.0)
         if job.velocity is not None and ("velocity", "test") in job.fast and ("velocity", "test") in unstamped:
-            job.velocity = delayed(job.velocity, float(velocity_late) * job.parts, 1.0)
+            job.velocity = delayed(job.velocity, float(velocity_delay) * job.parts, 1.0)
             job.fast["velocity", "test"] = velocity(job)
 
 
@@ -365,8 +369,8 @@ def with_smooth_inputs(record: Record) -> Record:
     """Return a run with smoothed inputs: rotors would creep under input noise, and the noise would count twice."""
     fast, slow = record.fast, record.slow
     if fast is not None:
-        drives = "q_axis_current" if ("q_axis_current", "test") in fast.values else "q_axis_voltage"
-        fast = replace(fast, values=with_smooth_channels(fast.values, drives, BASE_WIDTH))
+        driving_quantity = "q_axis_current" if ("q_axis_current", "test") in fast.values else "q_axis_voltage"
+        fast = replace(fast, values=with_smooth_channels(fast.values, driving_quantity, BASE_WIDTH))
     if slow is not None:
         fed = smooth(slow.fed, SLOW_WIDTH) if slow.fed is not None else None
         slow = replace(slow, values=with_smooth_channels(slow.values, "_temperature", SLOW_WIDTH), fed=fed)
@@ -374,7 +378,10 @@ def with_smooth_inputs(record: Record) -> Record:
 
 
 def with_smooth_channels(values: Mapping[Key, Array], ending: str, width: float) -> dict[Key, Array]:
-    """Smooth the channels whose quantity ends with `ending`."""
+    """Return channels, smoothed where the quantity ends with `ending`.
+
+    width : samples, Gaussian width of the smoothing.
+    """
     return {key: smooth(column, width) if key[0].endswith(ending) else column for key, column in values.items()}
 
 
@@ -399,10 +406,10 @@ def fast_channels(job: Job) -> dict[Key, Array]:
     channels, values = dict(job.fast), job.clock.values
     if job.angle is not None:
         channels["angle", "test"] = angle(job)
-    if (flowing := current(job)) is not None:
-        channels["q_axis_current", "test"] = flowing
-    if (load := values.get(("q_axis_current", "load"))) is not None:
-        channels["q_axis_current", "load"] = load  # the replay takes it as measured
+    if (current_reading := current(job)) is not None:
+        channels["q_axis_current", "test"] = current_reading
+    if (load_current := values.get(("q_axis_current", "load"))) is not None:
+        channels["q_axis_current", "load"] = load_current  # the replay takes it as measured
     if job.pull is not None:
         for key, change in tracking_references(job, job.pull).items():
             if key in values:
@@ -411,36 +418,43 @@ def fast_channels(job: Job) -> dict[Key, Array]:
 
 
 def tracking_references(job: Job, pull: Array) -> dict[Key, Array]:
-    """Return what is added to the measured references so that the drive makes the tracking torque `pull`."""
-    constant = job.plant.model.torque_constant or 1.0
-    total = (len(job.clock.time) - 1) * job.parts + 1
-    if (supply := voltage_feed(job.record, job.plant.model)) is not None:
-        pull_at_samples = means_over_samples(0.5 * (pull[1:total] + pull[: total - 1]), job.parts)
-        return {("q_axis_voltage", "test"): pull_at_samples / supply.gain}
+    """Return by key what is added to the measured references so that the drive makes the tracking torque.
+
+    pull : tracking torque [N*m] at the instants of the sub-steps.
+    """
+    torque_constant = job.plant.model.torque_constant or 1.0
+    instant_count = (len(job.clock.time) - 1) * job.parts + 1
+    if (feed := voltage_feed(job.record, job.plant.model)) is not None:
+        pull_at_samples = means_over_samples(0.5 * (pull[1:instant_count] + pull[: instant_count - 1]), job.parts)
+        return {("q_axis_voltage", "test"): pull_at_samples / feed.gain}
     if job.current is None:
         quantity = "torque_reference" if ("torque_reference", "test") in job.clock.values else "torque"
-        return {(quantity, "test"): means_over_samples(0.5 * (pull[1:total] + pull[: total - 1]), job.parts)}
-    current = reference_before_lead(reference_reaching(pull[: total : job.parts] / constant, job), job)
-    return {("q_axis_current_reference", "test"): current}
+        return {
+            (quantity, "test"): means_over_samples(0.5 * (pull[1:instant_count] + pull[: instant_count - 1]), job.parts)
+        }
+    reference_change = reference_before_lead(
+        reference_reaching(pull[: instant_count : job.parts] / torque_constant, job), job
+    )
+    return {("q_axis_current_reference", "test"): reference_change}
 
 
-def reference_reaching(ends: Array, job: Job) -> Array:
-    """Return the reference with which a first-order current loop reaches the given currents at the interval ends."""
+def reference_reaching(currents_at_ends: Array, job: Job) -> Array:
+    """Return the reference [A] with which a first-order current loop reaches given currents at the intervals' ends."""
     bandwidth = job.plant.model.bench.current_loop_bandwidth
     decay = float(np.exp(-2.0 * np.pi * bandwidth * job.clock.interval)) if bandwidth else 0.0
-    return (ends - decay * np.concatenate([ends[:1], ends[:-1]])) / (1.0 - decay)
+    return (currents_at_ends - decay * np.concatenate([currents_at_ends[:1], currents_at_ends[:-1]])) / (1.0 - decay)
 
 
 def reference_before_lead(followed: Array, job: Job) -> Array:
-    """Return the reference that, after the drive's setpoint lead, equals the given one."""
+    """Return the reference [A] that, after the drive's setpoint lead, equals the given one."""
     bench, interval = job.plant.model.bench, job.clock.interval
     if not bench.setpoint_lead or moved_by_a_servo(job.clock):
         return followed
     decay = float(np.exp(-interval / bench.setpoint_lead_time))
-    share = bench.setpoint_lead * (bench.setpoint_lead_time / interval) * (1.0 - decay)
-    memory, input_gain = decay + (1.0 - decay) * share / (1.0 + share), (1.0 - decay) / (1.0 + share)
+    lead_share = bench.setpoint_lead * (bench.setpoint_lead_time / interval) * (1.0 - decay)
+    memory, input_gain = decay + (1.0 - decay) * lead_share / (1.0 + lead_share), (1.0 - decay) / (1.0 + lead_share)
     lead_state = lfilter([0.0, input_gain], [1.0, -memory], followed - followed[0]) + followed[0]
-    return np.asarray((followed + share * lead_state) / (1.0 + share), np.float64)
+    return np.asarray((followed + lead_share * lead_state) / (1.0 + lead_share), np.float64)
 
 
 def channels_as_measured(
@@ -459,7 +473,7 @@ def channels_as_measured(
 
 
 def channel_as_measured(clock: Clocked, key: Key, simulated: Array, random: np.random.Generator) -> Array:
-    """Return a simulated channel with noise and rounding, added at the channel's own stamps where it has such."""
+    """Return a simulated channel with noise and rounding, added at the channel's own stamps if it has its own."""
     values = clock.values[key]
     if key not in clock.between:
         return with_noise(simulated, values, random)
@@ -471,6 +485,6 @@ def channel_as_measured(clock: Clocked, key: Key, simulated: Array, random: np.r
 def with_noise(simulated: Array, measured: Array, random: np.random.Generator) -> Array:
     """Return a simulated channel with noise of the measured one's size and colour, rounded to the same quantum."""
     filled = np.where(np.isfinite(simulated), simulated, measured)
-    quantum = quantum_of(measured) or quantum_of(np.diff(measured))  # a fast channel may take every level only once
+    quantum = quantum_of(measured) or quantum_of(np.diff(measured))  # a swift channel may take every level only once
     noisy = filled + coloured_noise(measured, quantum, random)
     return np.asarray(np.round(noisy / quantum) * quantum if quantum > 0.0 else noisy, np.float64)

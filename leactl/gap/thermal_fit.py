@@ -31,9 +31,9 @@ FITTED_PARAMETERS = (
     "thermal.housing_capacitance",
 )
 TOLERANCE_STDS = 3.0  # standard deviations that a tolerance spans
-LEAST_TOLERANCE = 0.01  # relative, for errors that a fit does not see, such as gradients in the winding
+LEAST_TOLERANCE = 0.01  # relative tolerance, for errors that a fit does not see, such as gradients in the winding
 CAMERA_GAIN_ERROR = 0.02  # share of a rise; thermal cameras are sold with +-2 K or +-2 %
-MOST_INFORMED_RATIO = 0.5  # standard deviation over that of the prior; below, the runs determine a parameter
+MOST_INFORMED_RATIO = 0.5  # standard error over the prior's, below which the runs determine a parameter
 
 
 @dataclass(frozen=True)
@@ -41,30 +41,30 @@ class ThermalFit:
     """Thermal network of an actuator, fitted to runs."""
 
     parameters: tuple[CalibratedParameter, ...]
-    correlation: Array  # of the parameters, in their order
-    tolerances: dict[str, float]  # by key of a motor file, of the parameters that the runs determine
+    correlation: Array  # correlation matrix of the parameters, in their order
+    tolerances: dict[str, float]  # relative, by key of a motor file, of the parameters that the runs determine
     notes: tuple[str, ...] = ()  # made while the runs were read
 
 
 def missing_channels(run: Run) -> list[str]:
-    """Return the quantities that a run lacks for a thermal network; empty if it has all."""
-    air = run.has(AMBIENT, "bench") or run.has(AMBIENT)
+    """Return the quantities that a run lacks for the fit of a thermal network; empty if it has all."""
+    has_ambient = run.has(AMBIENT, "bench") or run.has(AMBIENT)
     missing = [] if run.has("winding_temperature") else ["winding_temperature"]
     missing += [] if run.has("housing_temperature") else ["housing_temperature"]
-    missing += [] if air else [AMBIENT]
-    heated = run.has("line_current") and run.has("line_voltage")
-    if not heated and (run.has("line_current") or not run.has("q_axis_current")):
+    missing += [] if has_ambient else [AMBIENT]
+    has_line_power = run.has("line_current") and run.has("line_voltage")
+    if not has_line_power and (run.has("line_current") or not run.has("q_axis_current")):
         missing.append("the heat of the winding: line_current with line_voltage, or q_axis_current")
     return missing
 
 
 def thermal_fit(runs: Sequence[Run], motor: Motor) -> ThermalFit:
-    """Fit the network of one actuator to its open runs.
+    """Return the fit of an actuator's thermal network to its open runs.
 
     Raises
     ------
-    InputError : the motor has no thermal network; runs that lack something, channels that cannot be used, or too few
-        samples of all together.
+    InputError : the motor has no thermal network, a run lacks a quantity, a channel cannot be used, or temperatures and
+        heat have too few samples at the same time.
     """
     faults: list[str] = []
     records: list[Record] = []
@@ -85,26 +85,27 @@ def thermal_fit(runs: Sequence[Run], motor: Motor) -> ThermalFit:
     notes = list(dict.fromkeys(note for record in records for note in record.notes))
     if not any(rows.equation == "winding" for rows in evidence.stack.rows):
         files = ", ".join(record.path.name for record in records)
-        why = "; ".join(notes) or "they were seldom read at the same time"
-        raise InputError(f"{files}: temperatures and heat never come together for long enough: {why}")
+        reason = "; ".join(notes) or "they were seldom read at the same time"
+        raise InputError(f"{files}: temperatures and heat never come together for long enough: {reason}")
     fit = evidence.settle([])
     fitted = {
         item.parameter: item for item in calibrated_parameters(evidence, fit) if item.parameter in FITTED_PARAMETERS
     }
     names = [name for name in FITTED_PARAMETERS if name in fitted]
-    places = {evidence.stack.names[place]: index for index, place in enumerate(fit.columns)}
-    rows = np.array([places["calibration", name] for name in names])
-    covariance = fit.covariance[np.ix_(rows, rows)]
-    spread = np.sqrt(np.diag(covariance))
+    position_in_fit = {evidence.stack.names[column]: index for index, column in enumerate(fit.columns)}
+    positions = np.array([position_in_fit["calibration", name] for name in names])
+    covariance = fit.covariance[np.ix_(positions, positions)]
+    stds = np.sqrt(np.diag(covariance))
     tolerances = {
         name.removeprefix("thermal."): _rounded(TOLERANCE_STDS * fitted[name].std / fitted[name].fitted)
         for name in names
         if fitted[name].std / fitted[name].fitted < MOST_INFORMED_RATIO * PRIORS[name]
     }
     tolerances["temperature_rise"] = CAMERA_GAIN_ERROR
-    correlation = covariance / np.outer(spread, spread)
+    correlation = covariance / np.outer(stds, stds)
     return ThermalFit(tuple(fitted[name] for name in names), correlation, tolerances, tuple(notes))
 
 
 def _rounded(tolerance: float) -> float:
+    """Return a tolerance rounded up to a tenth of a percent, at least `LEAST_TOLERANCE`."""
     return max(LEAST_TOLERANCE, math.ceil(tolerance * 1000.0) / 1000.0)

@@ -62,8 +62,8 @@ def compare(record: Record, jobs: Sequence[Job], disturbed: Job) -> list[Compare
         replays = [getattr(job, name) for job in (*jobs, disturbed)]
         for key in replays[0]:
             values = measured_channel(clock, key)
-            if values is not None and all(key in answer for answer in replays):
-                replayed = [answer[key] for answer in replays]
+            if values is not None and all(key in channels_of_replay for channels_of_replay in replays):
+                replayed = [channels_of_replay[key] for channels_of_replay in replays]
                 restarts_with_motion = key[0] in ("velocity", "torque", "q_axis_voltage")
                 restarts = restarts_with_motion and any(job.restarts for job in jobs)
                 mask = np.all(np.isfinite(replayed), axis=0)

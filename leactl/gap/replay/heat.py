@@ -65,6 +65,7 @@ class Network:
         self.housing_heat = np.zeros(self.count)
         for heat in plant.housing_heat:
             self.housing_heat = self.housing_heat + heat(self.speed)
+        # conductances [W/K]
         winding_to_air, winding_to_housing = (
             1 / thermal.winding_ambient_resistance,
             1 / thermal.winding_housing_resistance,
@@ -105,9 +106,8 @@ class Network:
         clock, plant = self.clock, self.job.plant
         if clock.fed is None:
             return 1.0
-        ratio_at_zero = (
-            1.0 - plant.resistance_coefficient * plant.model.reference_temperature
-        )  # at 0 degC, to the resistance at the reference temperature
+        # ratios are to the resistance at the reference temperature
+        ratio_at_zero = 1.0 - plant.resistance_coefficient * plant.model.reference_temperature
         fed_ratio, winding_ratio = (
             ratio_at_zero + plant.resistance_coefficient * values for values in (clock.fed, clock.values[WINDING])
         )
