@@ -61,7 +61,7 @@ def bin_count(independent_samples: float) -> int:
     return int(np.clip(2.0 * independent_samples ** (1.0 / 3.0), FEWEST_BINS, MOST_BINS))
 
 
-def bin_edges(values: Array, part: Array, count: int) -> Array:
+def bin_edges(values: Array, effect_part: Array, count: int) -> Array:
     """Return bin edges at quantiles, half by samples and half by the power of an effect's part.
 
     A variable with few levels has edges between its levels. The bins span the range in which the effect acts, and its
@@ -73,7 +73,7 @@ def bin_edges(values: Array, part: Array, count: int) -> Array:
         half_width = 0.25 * float(np.min(np.diff(levels))) if len(levels) > 1 else 0.5
         return np.concatenate([levels[:1] - half_width, midpoints, levels[-1:] + half_width])
     order = np.argsort(values, kind="stable")
-    ordered, power = values[order], np.cumsum(part[order] ** 2)
+    ordered, power = values[order], np.cumsum(effect_part[order] ** 2)
     total = float(power[-1])
     cumulative_share = power / total if total > 0.0 else np.arange(1, len(order) + 1) / len(order)
     lowest, highest = (
@@ -98,24 +98,24 @@ def bin_of(values: Array, edges: Array) -> Groups:
     return np.where((values < edges[0]) | (values > edges[-1]), -1, bins)
 
 
-def explained_share(part: Array, bins: Groups) -> float:
+def explained_share(effect_part: Array, bins: Groups) -> float:
     """Return the share of an effect's power that its bin means explain; bins with few samples explain nothing."""
     is_inside = bins >= 0
     counts = np.bincount(bins[is_inside])
-    sums = np.bincount(bins[is_inside], weights=part[is_inside])
-    total = float(np.sum(part**2))
+    sums = np.bincount(bins[is_inside], weights=effect_part[is_inside])
+    total = float(np.sum(effect_part**2))
     has_enough = counts >= FEWEST_IN_BIN
     return float(np.sum(sums[has_enough] ** 2 / counts[has_enough])) / total if total > 0.0 else 0.0
 
 
-def best_sign(part: Array, bins: Groups, signs: Mapping[str, Array]) -> Along:
+def best_sign(effect_part: Array, bins: Groups, signs: Mapping[str, Array]) -> Along:
     """Return the sign along which an effect's part follows a variable best; no sign where that does nearly as well.
 
-    part : part of the residual that the effect explains, by row.
+    effect_part : part of the residual that the effect explains, by row.
     signs : by variable, the sign of each row.
     """
-    trials = [Along("", explained_share(part, bins))]
-    trials += [Along(name, explained_share(part * sign, bins)) for name, sign in signs.items()]
+    trials = [Along("", explained_share(effect_part, bins))]
+    trials += [Along(name, explained_share(effect_part * sign, bins)) for name, sign in signs.items()]
     best_share = max(trial.explained for trial in trials)
     return next(trial for trial in trials if trial.explained >= EQUAL_SHARE * best_share)
 

@@ -189,10 +189,10 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
         partly_mended_diagnosis = diagnose_mended(case.of_records(records), certain_faults, progress)
     except InputError:
         return diagnosis
-    named = any(
+    names_an_effect = any(
         cause.family != "setup" and cause.probability >= NAMED_PROBABILITY for cause in partly_mended_diagnosis.causes
     )
-    if not named or partly_mended_diagnosis.unexplained_probability >= UNKNOWN_PROBABILITY:
+    if not names_an_effect or partly_mended_diagnosis.unexplained_probability >= UNKNOWN_PROBABILITY:
         return diagnosis
     not_named = tuple(
         f"not named: {fault.name}; an effect explains the runs without mending it" for fault in uncertain_faults
@@ -249,22 +249,22 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     searched = without_imitated_members(evidence, search(evidence))
     progress("trying them on held-out runs")
     servo_runs = servo_answer.judged_by_runs(case.model, case.fitted)
-    gains, judged = judged_on_held_out(case, evidence, searched)
+    gains, judgements = judged_on_held_out(case, evidence, searched)
     set_notes: tuple[str, ...] = ()
-    if any(item.peers for item in judged) and not servo_runs:
-        nearest, ruled_out = separate_classes(case, evidence, searched, judged)
+    if any(judgement.peers for judgement in judgements) and not servo_runs:
+        nearest, ruled_out = separate_classes(case, evidence, searched, judgements)
         if nearest is not searched:
             searched = nearest
-            gains, judged = judged_on_held_out(case, evidence, searched)
-        judged = [without_ruled_out(item, ruled_out) for item in judged]
+            gains, judgements = judged_on_held_out(case, evidence, searched)
+        judgements = [without_ruled_out(judgement, ruled_out) for judgement in judgements]
         set_notes = tuple(effect.note() for effect in ruled_out)
     in_sound_noise = weighed_by_sound_noise(evidence, searched)
     unrest_by_run, lines = unrest_and_lines(evidence, in_sound_noise)
     unrest_by_channel = unrest(unrest_by_run)
-    surprise = unexplained_in_channels(unrest_by_channel, lines)
-    causes = causes_of(evidence, searched, judged)
+    strongest_sign = unexplained_in_channels(unrest_by_channel, lines)
+    causes = causes_of(evidence, searched, judgements)
     calibrated_alone = calibrated_parameters(evidence, evidence.settle([]))
-    members = {item.finding.effect for item in judged}
+    members = {judgement.finding.effect for judgement in judgements}
     refit: Refit = partial(refit_causes, evidence, searched)
     if servo_runs:
         progress("fitting free runs of the servo")
@@ -273,20 +273,20 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         calibrated_alone = servo_answer.calibration(case.model, fitted_sets.calibrated, {})
         parameters = servo_answer.calibration(case.model, fitted_sets.augmented, fitted_sets.stds)
         causes = servo_answer.causes(fitted_sets, causes, free_runs, with_calibration(case.model, parameters))
-        members |= {item.effect for item in fitted_sets.standing}
+        members |= {effect.effect for effect in fitted_sets.standing}
         calibrated_alone = calibrated_alone if fitted_sets.standing else parameters
         refit = partial(with_servo_calibration, parameters)
         records_left_out = [record for record in case.fitted if record not in free_runs]
         set_notes = servo_answer.rig_note(fitted_sets, case.model.load.type == "pendulum", records_left_out)
     else:
-        doubts = doubts_by_residual(evidence, in_sound_noise, causes, surprise, (unrest_by_channel, lines))
+        doubts = doubts_by_residual(evidence, in_sound_noise, causes, strongest_sign, (unrest_by_channel, lines))
         set_notes += tuple(f"not named: {name}; {reason}" for name, reason in doubts.items() if name in members)
-        trust = 1.0 - surprise.probability
+        trust = 1.0 - strongest_sign.probability
         causes = tuple(
             replace(cause, probability=cause.probability * trust) if cause.effect in doubts else cause
             for cause in causes
         )
-    named = [cause for cause in causes if cause.probability >= NAMED_PROBABILITY and cause.effect in members]
+    named_causes = [cause for cause in causes if cause.probability >= NAMED_PROBABILITY and cause.effect in members]
     progress("simulating again")
     stamps = evidence.stamping(searched.fit)
     replayed = [stamped(record, stamps) for record in case.replayed()]
@@ -295,7 +295,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     applied = apply(
         case.model,
         calibrated_alone,
-        [named] if servo_runs and named else [[cause] for cause in named],
+        [named_causes] if servo_runs and named_causes else [[cause] for cause in named_causes],
         refit,
         lambda calibrated, augmented: shrinkage(
             replayed, case.nominal or case.model, calibrated, augmented, unexplained=case.unexplained
@@ -306,7 +306,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     shrunk = applied.shrunk
     causes = confirmed_causes(causes, applied)
     if servo_runs:
-        surprise = unexplained_in_channels(servo_answer.angle_error_ratios(shrunk.shrinkage, replayed), {})
+        strongest_sign = unexplained_in_channels(servo_answer.angle_error_ratios(shrunk.shrinkage, replayed), {})
     gap_regions = where(replayed, shrunk.channels, applied.fitted.causes)
     notes = condition_notes(case.fitted, case.held_out) + reading_notes([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
@@ -318,30 +318,30 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     if len(applied_forms) < len(searched.hypothesis) and not servo_runs:
         applied_set = weighed_by_sound_noise(evidence, effect_sets.describe(evidence, list(applied_forms)))
         unrest_by_run, lines = unrest_and_lines(evidence, applied_set)
-        surprise = max(
-            surprise, unexplained_in_channels(unrest(unrest_by_run), lines), key=lambda sign: sign.probability
+        strongest_sign = max(
+            strongest_sign, unexplained_in_channels(unrest(unrest_by_run), lines), key=lambda sign: sign.probability
         )
     if (
         not (applied_forms or servo_runs or names_at_bound(calibrated_alone))
-        and surprise.probability < UNKNOWN_PROBABILITY
+        and strongest_sign.probability < UNKNOWN_PROBABILITY
     ):
         signs_in_runs = (
             unexplained_in_a_run(unrest_by_run),
             unexplained_in_held_out(evidence, applied_forms, case.held_out),
         )
-        surprise = max(surprise, *signs_in_runs, key=lambda sign: sign.probability)
-    alternatives = [rival.candidate for item in judged for rival, _ in item.rivals]
+        strongest_sign = max(strongest_sign, *signs_in_runs, key=lambda sign: sign.probability)
+    alternatives = [rival.candidate for judgement in judgements for rival, _ in judgement.rivals]
     causes = draw_pictures(causes, evidence, applied_forms, alternatives, case.held_out)
     causes = draw_pictures_of_replays(causes, applied.fitted.causes, replayed, shrunk.channels)
     unexplained_notes, unexplained_part = tuple[str, ...](), None
-    if surprise.probability >= UNKNOWN_PROBABILITY:
+    if strongest_sign.probability >= UNKNOWN_PROBABILITY:
         progress("describing what is left")
-        refused_effects = nearest_effects(searched, judged, applied.refused)
-        unexplained_notes = (surprise.note,)
-        unexplained_part = describe(evidence, applied_forms, surprise.channel, case.held_out, refused_effects)
+        refused_effects = nearest_effects(searched, judgements, applied.refused)
+        unexplained_notes = (strongest_sign.note,)
+        unexplained_part = describe(evidence, applied_forms, strongest_sign.channel, case.held_out, refused_effects)
     return DiagnosisResult(
-        verdict_of(causes, surprise.probability, calibrates),
-        surprise.probability,
+        verdict_of(causes, strongest_sign.probability, calibrates),
+        strongest_sign.probability,
         gap_regions,
         applied.fitted.calibration,
         causes,
@@ -381,7 +381,7 @@ def judged_on_held_out(
 
 
 def separate_classes(
-    case: Case, evidence: Evidence, searched: EffectSet, judged: Sequence[Judged]
+    case: Case, evidence: Evidence, searched: EffectSet, judgements: Sequence[Judged]
 ) -> tuple[EffectSet, list[RuledOut]]:
     """Return the set with the effect of each class that fits the held-out runs best, and the effects ruled out."""
     stamps = evidence.stamping(searched.fit)
@@ -389,23 +389,25 @@ def separate_classes(
 
     @cache
     def model_of(hypothesis: tuple[Candidate, ...]) -> Model:
+        """Return the model with a set, fitted once for each set."""
         return model_with(case.model, evidence, hypothesis)
 
     def compare(first_set: Sequence[Candidate], second_set: Sequence[Candidate]) -> SquaresRatio:
+        """Return the squared gap with the second set over that with the first."""
         first_model, second_model = model_of(tuple(first_set)), model_of(tuple(second_set))
         random = np.random.default_rng(0)
         # `squares_ratio` compares the second and the third model
         _, channels = simulate_again(replayed, (first_model, first_model, second_model), random, case.unexplained)
         return squares_ratio(channels, random)
 
-    hypothesis, ruled_out = nearest_of_classes(searched.hypothesis, judged, compare)
-    nearest = searched
+    hypothesis, ruled_out = nearest_of_classes(searched.hypothesis, judgements, compare)
+    nearest_set = searched
     if hypothesis != searched.hypothesis:
-        nearest = effect_sets.describe(evidence, hypothesis)
-        if {effect for effect, _ in nearest.hypothesis} != {effect for effect, _ in hypothesis}:
-            nearest, ruled_out = searched, []  # beside the other members the better effect does not enter the set
-    evidence.settle(nearest.hypothesis)
-    return nearest, ruled_out
+        nearest_set = effect_sets.describe(evidence, hypothesis)
+        if {effect for effect, _ in nearest_set.hypothesis} != {effect for effect, _ in hypothesis}:
+            nearest_set, ruled_out = searched, []  # beside the other members the better effect does not enter the set
+    evidence.settle(nearest_set.hypothesis)
+    return nearest_set, ruled_out
 
 
 def model_with(model: Model, evidence: Evidence, hypothesis: Sequence[Candidate]) -> Model:
@@ -415,24 +417,24 @@ def model_with(model: Model, evidence: Evidence, hypothesis: Sequence[Candidate]
     return with_effects(with_calibration(model, calibration), effects)
 
 
-def weighed_by_sound_noise(evidence: Evidence, result: EffectSet) -> EffectSet:
+def weighed_by_sound_noise(evidence: Evidence, effect_set: EffectSet) -> EffectSet:
     """Return a set with its squares, taken and left, weighted by a sound machine's noise where that is lower."""
-    squares_taken, squares_left = effect_sets.squares_taken_and_left(evidence, result.hypothesis, sound_noise=True)
-    return replace(result, squares_taken=squares_taken, squares_left=squares_left)
+    squares_taken, squares_left = effect_sets.squares_taken_and_left(evidence, effect_set.hypothesis, sound_noise=True)
+    return replace(effect_set, squares_taken=squares_taken, squares_left=squares_left)
 
 
-def unrest_and_lines(evidence: Evidence, result: EffectSet) -> tuple[RunRatios, dict[Channel, Line]]:
+def unrest_and_lines(evidence: Evidence, effect_set: EffectSet) -> tuple[RunRatios, dict[Channel, Line]]:
     """Return the unrest of each channel by run under a set, and the lines in the spectra of its residuals."""
-    searched_rows = [not is_left_by_form(result, index) for index in range(len(evidence.stack.rows))]
-    lines = highest_lines(evidence, evidence.settle(result.hypothesis), searched_rows)
-    return unrest_of_runs(evidence, result), lines
+    searched_rows = [not is_left_by_form(effect_set, index) for index in range(len(evidence.stack.rows))]
+    lines = highest_lines(evidence, evidence.settle(effect_set.hypothesis), searched_rows)
+    return unrest_of_runs(evidence, effect_set), lines
 
 
 def doubts_by_residual(
     evidence: Evidence,
-    result: EffectSet,
+    effect_set: EffectSet,
     causes: Sequence[Cause],
-    surprise: Unexplained,
+    strongest_sign: Unexplained,
     signs_by_channel: tuple[Mapping[Channel, float], Mapping[Channel, Line]],
 ) -> dict[str, str]:
     """Return the causes that an unexplained residual puts in doubt, by effect, with the reason.
@@ -440,9 +442,13 @@ def doubts_by_residual(
     signs_by_channel : unrest and highest spectral line of each channel.
     """
     effects = [cause.effect for cause in causes]
-    if is_outweighed(evidence, result, *signs_by_channel):
+    if is_outweighed(evidence, effect_set, *signs_by_channel):
         return dict.fromkeys(effects, "too much is left beside what it explains")
-    if surprise.probability < UNKNOWN_PROBABILITY or surprise.channel is None or surprise.channel[0] != "current":
+    if (
+        strongest_sign.probability < UNKNOWN_PROBABILITY
+        or strongest_sign.channel is None
+        or strongest_sign.channel[0] != "current"
+    ):
         return {}
     # a limit alone says what the current is: a residual of the current shows another law
     reason = "a limit of the drive would leave nothing of the current unexplained"
@@ -450,7 +456,7 @@ def doubts_by_residual(
 
 
 def is_outweighed(
-    evidence: Evidence, result: EffectSet, unrest_by_channel: Mapping[Channel, float], lines: Mapping[Channel, Line]
+    evidence: Evidence, effect_set: EffectSet, unrest_by_channel: Mapping[Channel, float], lines: Mapping[Channel, Line]
 ) -> bool:
     """Return whether the unexplained residual is so large that what a set explains may be a part of it.
 
@@ -462,7 +468,11 @@ def is_outweighed(
         rows.equation
         for rows in evidence.stack.rows
         if rows.equation == "lock"
-        or (rows.kind == VOLTAGE_KIND and rows.equation == "velocity" and not holds_column_of(rows, result.hypothesis))
+        or (
+            rows.kind == VOLTAGE_KIND
+            and rows.equation == "velocity"
+            and not holds_column_of(rows, effect_set.hypothesis)
+        )
     }
     judged_unrest = {key: ratio for key, ratio in unrest_by_channel.items() if key[0] not in equations_ignored}
     judged_lines = {key: line for key, line in lines.items() if key[0] not in equations_ignored}
@@ -472,10 +482,12 @@ def is_outweighed(
             for amount, rows in zip(amounts, evidence.stack.rows, strict=True)
             if rows.equation not in equations_ignored
         )
-        for amounts in (result.squares_taken, result.squares_left)
+        for amounts in (effect_set.squares_taken, effect_set.squares_left)
     )
-    total_gain = sum(member.gain for member in result.members) or 1.0
-    allowed_share = sum(allowed_residual_share(member.effect) * member.gain for member in result.members) / total_gain
+    total_gain = sum(member.gain for member in effect_set.members) or 1.0
+    allowed_share = (
+        sum(allowed_residual_share(member.effect) * member.gain for member in effect_set.members) / total_gain
+    )
     return (
         unexplained_in_channels(judged_unrest, judged_lines).probability >= UNKNOWN_PROBABILITY
         and squares_left > allowed_share * squares_taken
@@ -494,10 +506,10 @@ def holds_column_of(rows: Rows, hypothesis: Sequence[Candidate]) -> bool:
     return any(name[0] == "effect" and (name[1], name[2]) in effect_forms for name in rows.columns)
 
 
-def refit_causes(evidence: Evidence, result: EffectSet, causes: Sequence[Cause]) -> FittedEffects:
+def refit_causes(evidence: Evidence, effect_set: EffectSet, causes: Sequence[Cause]) -> FittedEffects:
     """Return the members of a set that some causes name, fitted without the other members."""
     causes_by_effect = {cause.effect: cause for cause in causes}
-    hypothesis = [candidate for candidate in result.hypothesis if candidate[0] in causes_by_effect]
+    hypothesis = [candidate for candidate in effect_set.hypothesis if candidate[0] in causes_by_effect]
     parameters, calibration = fit_with_further_steps(evidence, hypothesis)
     return FittedEffects(
         tuple(replace(causes_by_effect[name], parameters=values) for name, values in parameters.items()), calibration
@@ -549,43 +561,47 @@ def confirmed_causes(causes: Sequence[Cause], applied: Applied) -> tuple[Cause, 
     )
 
 
-def causes_of(evidence: Evidence, result: EffectSet, judged: Sequence[Judged]) -> tuple[Cause, ...]:
+def causes_of(evidence: Evidence, effect_set: EffectSet, judgements: Sequence[Judged]) -> tuple[Cause, ...]:
     """Return the members of a set and their rivals as causes, the most probable first."""
-    total_gain = sum(item.finding.gain for item in judged) or 1.0
+    total_gain = sum(judgement.finding.gain for judgement in judgements) or 1.0
     causes: dict[str, Cause] = {}
-    for item in judged:
-        parameters = effect_parameters(evidence, result.fit, item.finding.candidate)
-        plan = separating_experiment(item.finding.effect, item.peers)
-        share = item.finding.gain / total_gain
-        causes[item.finding.effect] = Cause(
-            item.finding.effect,
-            item.probability,
+    for judgement in judgements:
+        parameters = effect_parameters(evidence, effect_set.fit, judgement.finding.candidate)
+        plan = separating_experiment(judgement.finding.effect, judgement.peers)
+        share = judgement.finding.gain / total_gain
+        causes[judgement.finding.effect] = Cause(
+            judgement.finding.effect,
+            judgement.probability,
             share,
             parameters,
-            tuple(sorted(item.peers)),
+            tuple(sorted(judgement.peers)),
             plan,
-            effect_definition(item.finding.effect).family,
+            effect_definition(judgement.finding.effect).family,
         )
-    for item in judged:
-        for rival, probability in item.rivals:
+    for judgement in judgements:
+        for rival, probability in judgement.rivals:
             if probability < LISTED_PROBABILITY or rival.effect in causes:
                 continue
-            other_members = [candidate for candidate in result.hypothesis if candidate != item.finding.candidate]
+            other_members = [
+                candidate for candidate in effect_set.hypothesis if candidate != judgement.finding.candidate
+            ]
             parameters = parameters_beside(evidence, other_members, rival.candidate)
-            joint_probability = item.probability if rival.effect in item.peers else probability
+            joint_probability = judgement.probability if rival.effect in judgement.peers else probability
             peers = (
-                tuple(sorted({item.finding.effect, *item.peers} - {rival.effect}))
+                tuple(sorted({judgement.finding.effect, *judgement.peers} - {rival.effect}))
                 if joint_probability > probability
                 else ()
             )
             family = effect_definition(rival.effect).family
             causes[rival.effect] = Cause(rival.effect, joint_probability, 0.0, parameters, peers, family=family)
-    members = {item.finding.effect for item in judged}
+    members = {judgement.finding.effect for judgement in judgements}
     effects_on_reading = {
-        item.finding.effect for item in judged if acts_on_reading_alone(evidence, item.finding.candidate)
+        judgement.finding.effect
+        for judgement in judgements
+        if acts_on_reading_alone(evidence, judgement.finding.candidate)
     }
     # by probability to a hundredth; of equals, those on more than a reading first, then members, then the larger share
-    listed = [cause for cause in causes.values() if cause.probability >= LISTED_PROBABILITY]
+    listed_causes = [cause for cause in causes.values() if cause.probability >= LISTED_PROBABILITY]
     ranks = {
         cause.effect: (
             -round(cause.probability, 2),
@@ -593,9 +609,9 @@ def causes_of(evidence: Evidence, result: EffectSet, judged: Sequence[Judged]) -
             cause.effect not in members,
             -cause.share,
         )
-        for cause in listed
+        for cause in listed_causes
     }
-    return tuple(sorted(listed, key=lambda cause: ranks[cause.effect]))
+    return tuple(sorted(listed_causes, key=lambda cause: ranks[cause.effect]))
 
 
 def acts_on_reading_alone(evidence: Evidence, candidate: Candidate) -> bool:
@@ -610,8 +626,8 @@ def parameters_beside(evidence: Evidence, others: list[Candidate], candidate: Ca
     return effect_parameters(evidence, fit, candidate)
 
 
-def calibration_gains(evidence: Evidence, result: EffectSet) -> bool:
+def calibration_gains(evidence: Evidence, effect_set: EffectSet) -> bool:
     """Return whether calibrating the nominal model lowers the misfit by more than `LEAST_CALIBRATION_GAIN`."""
     normal = evidence.normal()
     nuisance_columns = np.asarray([k for k, name in enumerate(evidence.stack.names) if name[0] == "nuisance"], np.intp)
-    return normal.solve(nuisance_columns).misfit - result.fit.misfit > LEAST_CALIBRATION_GAIN
+    return normal.solve(nuisance_columns).misfit - effect_set.fit.misfit > LEAST_CALIBRATION_GAIN

@@ -118,9 +118,12 @@ def with_simulator_runs(null: Null, records: Sequence[Record], model: Model) -> 
     excepted: they have one floor for all orders, and a simulator's wave of one order says nothing of another order.
     """
     null_values = NullValues()
-    null_values.add_machine(Evidence(records, model, kept=null.kept))
-    simulator_null = null_values.null(null.moved, null.kept)
-    variances = {key: max(variance, simulator_null.left.get(key, 0.0)) for key, variance in null.left.items()}
+    null_values.add_machine(Evidence(records, model, held_parameters=null.held_parameters))
+    simulator_null = null_values.null(null.parameter_changes, null.held_parameters)
+    residual_variances = {
+        key: max(variance, simulator_null.residual_variances.get(key, 0.0))
+        for key, variance in null.residual_variances.items()
+    }
     floors = {
         effect: np.hypot(sizes, simulator_null.floors[effect]).tolist()
         if len(simulator_null.floors.get(effect, ())) == len(sizes) and not library()[effect].periodic
@@ -128,13 +131,15 @@ def with_simulator_runs(null: Null, records: Sequence[Record], model: Model) -> 
         for effect, sizes in null.floors.items()
     }
     loud_equations = {
-        key[0] for key, variance in simulator_null.left.items() if variance > null.left.get(key, math.inf)
+        key[0]
+        for key, variance in simulator_null.residual_variances.items()
+        if variance > null.residual_variances.get(key, math.inf)
     }
-    lines = {
+    line_heights = {
         channel: max(height, simulator_null.lines.get(channel, 0.0)) if channel[0] in loud_equations else height
         for channel, height in null.lines.items()
     }
-    return replace(null, left=variances, floors=floors, lines=lines)
+    return replace(null, residual_variances=residual_variances, floors=floors, lines=line_heights)
 
 
 def set_floors(evidence: Evidence, null: Null) -> None:
@@ -162,13 +167,13 @@ class NullValues:
     """Values fitted to sound machines, collected machine by machine."""
 
     unrest: dict[tuple[str, str], list[float]] = field(default_factory=dict)
-    left: dict[tuple[str, str], list[float]] = field(default_factory=dict)
-    white: dict[tuple[str, str], list[float]] = field(default_factory=dict)
+    residual_variances: dict[tuple[str, str], list[float]] = field(default_factory=dict)
+    noise_variances: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     sizes: dict[str, list[list[float]]] = field(default_factory=dict)  # by effect: for each machine, by form
     errors: dict[str, list[list[float]]] = field(default_factory=dict)  # standard errors of the sizes
     fits: dict[str, list[list[FurtherEffect | None]]] = field(default_factory=dict)  # of effects that are not periodic
     lines: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
-    moved: dict[str, list[float]] = field(default_factory=dict)
+    parameter_changes: dict[str, list[float]] = field(default_factory=dict)
     priors: dict[str, float] = field(default_factory=dict)
 
     def add_calibration(self, evidence: Evidence) -> Fit:
@@ -178,7 +183,7 @@ class NullValues:
         for column, value in zip(fit.columns, fit.values, strict=True):
             name = evidence.stack.names[column]
             if name[0] == "calibration":
-                self.moved.setdefault(name[1], []).append(float(value))
+                self.parameter_changes.setdefault(name[1], []).append(float(value))
         return fit
 
     def add_machine(self, evidence: Evidence) -> None:
@@ -188,10 +193,10 @@ class NullValues:
         fit = self.add_calibration(evidence)
         for key, value in evidence.unrest().items():
             self.unrest.setdefault(key, []).append(value)
-        for key, value in evidence.left().items():
-            self.left.setdefault(key, []).append(value)
-        for key, value in evidence.white().items():
-            self.white.setdefault(key, []).append(value)
+        for key, value in evidence.residual_variances().items():
+            self.residual_variances.setdefault(key, []).append(value)
+        for key, value in evidence.noise_variances().items():
+            self.noise_variances.setdefault(key, []).append(value)
         for effect, fits_of_forms in fit_each_alone(evidence).items():
             if not library()[effect].periodic:
                 self.fits.setdefault(effect, []).append(fits_of_forms)
@@ -201,28 +206,30 @@ class NullValues:
         for channel, line in highest_lines(evidence, fit, [True] * len(evidence.stack.rows)).items():
             self.lines.setdefault(channel, []).append(line.height)
 
-    def null(self, moved: Mapping[str, tuple[float, float]], kept: Sequence[str]) -> Null:
+    def null(self, parameter_changes: Mapping[str, tuple[float, float]], held_parameters: Sequence[str]) -> Null:
         """Return the null of all machines together.
 
-        moved : by parameter, mean and scatter of its relative change.
-        kept : parameters that every fit holds.
+        parameter_changes : by parameter, mean and scatter of its relative change.
+        held_parameters : parameters that every fit holds.
         """
         return Null(
             {key: float(np.mean(values)) for key, values in self.unrest.items()},
-            {key: float(np.mean(values)) for key, values in self.left.items()},
-            {key: float(np.mean(values)) for key, values in self.white.items()},
+            {key: float(np.mean(values)) for key, values in self.residual_variances.items()},
+            {key: float(np.mean(values)) for key, values in self.noise_variances.items()},
             {effect: np.sqrt(np.mean(np.square(sizes), axis=0)).tolist() for effect, sizes in self.sizes.items()},
             {effect: common_sizes(self.fits.get(effect, ())) for effect in self.sizes},
             {effect: np.mean(errors, axis=0).tolist() for effect, errors in self.errors.items()},
             {channel: float(np.mean(heights)) for channel, heights in self.lines.items()},
-            moved,
-            (*kept, *self.unidentifiable()),
-            tuple(kept),
+            parameter_changes,
+            (*held_parameters, *self.unidentifiable()),
+            tuple(held_parameters),
         )
 
     def parameters(self) -> dict[str, tuple[float, float]]:
         """Return the mean and scatter of each parameter's relative change in the fits."""
-        return {name: (float(np.mean(values)), float(np.std(values))) for name, values in self.moved.items()}
+        return {
+            name: (float(np.mean(values)), float(np.std(values))) for name, values in self.parameter_changes.items()
+        }
 
     def unidentifiable(self) -> tuple[str, ...]:
         """Return the parameters whose relative change in sound machines exceeds `MOST_PRIOR_CHANGE` times their prior.
@@ -262,7 +269,7 @@ def common_sizes(machines: Sequence[Sequence[FurtherEffect | None]]) -> list[flo
     return [common_size(fits) for fits in zip(*machines, strict=True)] if len(machines) > 1 else []
 
 
-def without_imitated_members(evidence: Evidence, result: EffectSet, seed: int = 0) -> EffectSet:
+def without_imitated_members(evidence: Evidence, effect_set: EffectSet, seed: int = 0) -> EffectSet:
     """Return a set without the members that also show in a machine which has only the other members.
 
     The equations' error for a large effect (its course within a sample, where friction reverses) may look like a
@@ -271,13 +278,13 @@ def without_imitated_members(evidence: Evidence, result: EffectSet, seed: int = 
     member with the largest gain is not tested.
     """
     random = np.random.default_rng(seed)
-    hypothesis = list(result.hypothesis)
-    for item in sorted(result.members, key=lambda item: item.gain)[:-1]:
+    hypothesis = list(effect_set.hypothesis)
+    for item in sorted(effect_set.members, key=lambda item: item.gain)[:-1]:
         others = [candidate for candidate in hypothesis if candidate != item.candidate]
         if item.size <= ENTRY_HEIGHT * math.hypot(item.std, item.floor, size_beside(evidence, others, item, random)):
             hypothesis = others
-    if hypothesis == result.hypothesis:
-        return result
+    if hypothesis == effect_set.hypothesis:
+        return effect_set
     return describe(evidence, refine(evidence, exchange(evidence, hypothesis)))
 
 
@@ -293,7 +300,9 @@ def size_beside(
     ]
     machine = with_effects(with_calibration(evidence.model, calibration), effects_of_others)
     (simulated_runs,) = sound_runs(evidence.records, [machine], random)
-    sound_evidence = Evidence(simulated_runs, evidence.model, only=[*others, item.candidate], kept=evidence.kept)
+    sound_evidence = Evidence(
+        simulated_runs, evidence.model, only=[*others, item.candidate], held_parameters=evidence.held_parameters
+    )
     if not sound_evidence.stack.rows:
         return 0.0
     sound_evidence.settle([*others, item.candidate])

@@ -67,13 +67,15 @@ def test_a_case_without_an_effect_leaves_what_sound_machines_leave(case, null):
 
 def test_held_out_runs_are_weighed_by_what_sound_machines_leave_in_the_fitted_ones(case, null):
     evidence = Evidence(case.fitted, case.model, only=[])
-    assert {evidence.expected(rows) for rows in evidence.stack.rows} == {1.0}
+    assert {evidence.expected_unrest(rows) for rows in evidence.stack.rows} == {1.0}
     evidence.compare_with(null)
     other = evidence.on(case.held_out, [("cogging", (7.0,))])
     assert {rows.equation for rows in other.stack.rows} == {rows.equation for rows in evidence.stack.rows}
     for rows in other.stack.rows:
         key = rows.equation, rows.kind
-        assert other.expected(rows) == max(1.0, null.unrest[key], null.left[key] / rows.white**2), key
+        assert other.expected_unrest(rows) == max(
+            1.0, null.unrest[key], null.residual_variances[key] / rows.white_noise**2
+        ), key
     for candidate in other.candidates:
         assert other.floor(candidate) == evidence.floor(candidate) > 0.0
 
@@ -126,10 +128,13 @@ def test_what_an_equation_leaves_does_not_shrink_with_its_noise(case, null):
     evidence = Evidence(case.fitted, case.model, only=[])
     evidence.compare_with(null)
     rows = evidence.stack.rows[0]
-    expected = evidence.expected(rows)
-    rows.white /= 10.0
-    assert evidence.expected(rows) >= 50.0 * null.left[rows.equation, rows.kind] / (rows.white * 10.0) ** 2
-    assert evidence.expected(rows) > expected
+    expected = evidence.expected_unrest(rows)
+    rows.white_noise /= 10.0
+    assert (
+        evidence.expected_unrest(rows)
+        >= 50.0 * null.residual_variances[rows.equation, rows.kind] / (rows.white_noise * 10.0) ** 2
+    )
+    assert evidence.expected_unrest(rows) > expected
 
 
 def test_what_no_sound_machine_tells_is_not_judged(case, null):
@@ -141,7 +146,7 @@ def test_what_no_sound_machine_tells_is_not_judged(case, null):
 def test_sound_machines_move_no_parameter_that_these_runs_tell(null):
     assert null.unidentifiable == ()
     for name in ("torque_constant", "viscous_damping", "coulomb_friction", "rotor_inertia", "phase_resistance"):
-        mean, scatter = null.moved[name]
+        mean, scatter = null.parameter_changes[name]
         assert abs(mean) < 0.01, name
         assert scatter < 0.01, name
 
@@ -155,9 +160,9 @@ def test_a_torque_constant_that_every_fit_holds_biases_no_other_parameter(tmp_pa
     write_cases(tmp_path, {"spindle": (machine, draw_runs(np.random.default_rng([3, 1]), machine, [], "plain"))})
     joint = case_of(tmp_path / "spindle")
     found = measure(joint.fitted, joint.model, only=())
-    assert found.kept == ()
+    assert found.held_parameters == ()
     for name in ("viscous_damping", "coulomb_friction", "rotor_inertia"):
-        assert abs(found.moved[name][0]) < 0.002, name
+        assert abs(found.parameter_changes[name][0]) < 0.002, name
 
 
 @pytest.mark.parametrize(
@@ -224,10 +229,10 @@ def test_a_torque_constant_that_a_loud_voltage_does_not_tell_is_held_without_a_b
         voltage = one.fast.values["q_axis_voltage", "test"]
         voltage += 10.0 * random.standard_normal(len(voltage))
     found = measure(free, case.model, only=())
-    assert found.kept == ("torque_constant",)
+    assert found.held_parameters == ("torque_constant",)
     assert "torque_constant" in found.unidentifiable
     for name in ("viscous_damping", "coulomb_friction", "rotor_inertia"):
-        mean, scatter = found.moved[name]
+        mean, scatter = found.parameter_changes[name]
         assert abs(mean) < 0.01, name
         assert scatter == pytest.approx(PRIORS["torque_constant"], rel=0.1), name
 

@@ -153,11 +153,11 @@ def drive_torque(job: Job, magnet_share: Array) -> Array:
     if (fed_torque := voltage_torque(job)) is not None:
         return np.append(fed_torque[:1], np.repeat(fed_torque[1:], job.parts))
     if job.current is None or torque_constant is None:
-        logged = logged_torque(job)
-        assert logged is not None
+        torque_as_logged = logged_torque(job)
+        assert torque_as_logged is not None
         # a logged force has the offset of the drive's current
-        logged = logged - (torque_constant or 1.0) * job.plant.current_offset
-        return np.append(logged[:1], np.repeat(logged[1:], job.parts))
+        torque_as_logged = torque_as_logged - (torque_constant or 1.0) * job.plant.current_offset
+        return np.append(torque_as_logged[:1], np.repeat(torque_as_logged[1:], job.parts))
     stamped_current = restamped(
         job.current, job.clock.stamping.get(BALANCE_EQUATIONS.get(job.record.mechanical, "")), job.parts
     )

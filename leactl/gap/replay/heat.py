@@ -262,11 +262,11 @@ def step_networks(networks: Sequence[Network], starts: Array, step_count: int) -
         rows = [getattr(network, name)[:step_count] for network in networks]
         return np.stack([np.pad(row, (0, step_count - len(row)), mode="edge") for row in rows], axis=1)
 
-    cold, ambient, housing_heat, speed = (inputs(name) for name in ("cold", "ambient", "housing_heat", "speed"))
+    cold_heat, ambient, housing_heat, speed = (inputs(name) for name in ("cold", "ambient", "housing_heat", "speed"))
     decay, gain = np.stack([network.decay for network in networks]), np.stack([network.gain for network in networks])
     by_ambient = np.stack([network.by_ambient for network in networks])
     external_rise = gain[:, :, 1] * housing_heat[:, :, None] + by_ambient * ambient[:, :, None]
-    by_winding = cold[:, :, None] * gain[:, :, 0]
+    by_winding = cold_heat[:, :, None] * gain[:, :, 0]
     ratio_per_kelvin = np.array([network.job.plant.resistance_coefficient for network in networks])
     ratio_at_zero = 1.0 - ratio_per_kelvin * np.array(
         [network.job.plant.model.reference_temperature for network in networks]

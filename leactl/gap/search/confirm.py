@@ -52,8 +52,8 @@ def held_out_gains(
         transferred_without = transferred_fit(normal, evidence, evidence.normal().fit(others))
         gain_by_stretch = stretch_gains(normal, transferred_without, transferred_with_all)
         sums = gain_by_stretch[random.integers(0, len(gain_by_stretch), (RESAMPLES, len(gain_by_stretch)))].sum(axis=1)
-        least = float(np.quantile(sums, TAIL_PROBABILITY / len(hypothesis)))
-        gains.append(HeldOutGain(transferred_without.misfit - transferred_with_all.misfit, least))
+        lower_end = float(np.quantile(sums, TAIL_PROBABILITY / len(hypothesis)))
+        gains.append(HeldOutGain(transferred_without.misfit - transferred_with_all.misfit, lower_end))
     return gains
 
 
@@ -80,12 +80,12 @@ def transferred_fit(normal: Normal, evidence: Evidence, fit: Fit) -> Fit:
     coefficient_of: dict[Column, float] = {
         evidence.stack.names[column]: float(value) for column, value in zip(fit.columns, fit.values, strict=True)
     }
-    names = normal.stack.names
+    column_names = normal.stack.names
     shared_columns = np.asarray(
-        [k for k, name in enumerate(names) if name in coefficient_of and not is_of_one_run(name)], np.intp
+        [k for k, name in enumerate(column_names) if name in coefficient_of and not is_of_one_run(name)], np.intp
     )
-    free_columns = np.asarray([k for k, name in enumerate(names) if is_of_one_run(name)], np.intp)
-    shared_coefficients = np.asarray([coefficient_of[names[k]] for k in shared_columns])
+    free_columns = np.asarray([k for k, name in enumerate(column_names) if is_of_one_run(name)], np.intp)
+    shared_coefficients = np.asarray([coefficient_of[column_names[k]] for k in shared_columns])
     right = normal.right - normal.gram[:, shared_columns] @ shared_coefficients
     misfit = normal.total - 2 * shared_coefficients @ normal.right[shared_columns]
     misfit += shared_coefficients @ normal.gram[np.ix_(shared_columns, shared_columns)] @ shared_coefficients

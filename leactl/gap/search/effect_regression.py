@@ -80,24 +80,24 @@ class Null:
     """Values fitted to sound machines, which have no effect: floors of effects, equations and parameters."""
 
     unrest: Mapping[tuple[str, str], float]  # by equation and kind of run
-    left: Mapping[tuple[str, str], float]  # by equation and kind: residual variance, times rows per independent row
-    white: Mapping[tuple[str, str], float]  # by equation and run: variance of the noise from row to row
+    residual_variances: Mapping[tuple[str, str], float]  # by equation and kind: times rows per independent row
+    noise_variances: Mapping[tuple[str, str], float]  # by equation and run: variance of the noise from row to row
     floors: Mapping[str, Sequence[float]]  # by effect: its fitted size in each form, in units of its leading parameter
     common_sizes: Mapping[str, Sequence[float]]  # sizes that all machines have in common; empty for one machine
     errors: Mapping[str, Sequence[float]]  # standard errors of the sizes
     lines: Mapping[tuple[str, str, str], float]  # height of the highest line in the residuals of each channel
-    moved: Mapping[str, tuple[float, float]]  # by parameter: mean and scatter of its relative change
+    parameter_changes: Mapping[str, tuple[float, float]]  # by parameter: mean and scatter of its relative change
     unidentifiable: tuple[str, ...]  # parameters that these runs do not determine
-    kept: tuple[str, ...]  # unidentifiable parameters that no fit may move
+    held_parameters: tuple[str, ...]  # unidentifiable parameters that every fit holds
 
     def bias(self, parameter: str) -> float:
         """Return the mean relative change of a parameter in sound machines; zero above `MOST_CORRECTED_BIAS`."""
-        bias = self.moved.get(parameter, (0.0, 0.0))[0]
+        bias = self.parameter_changes.get(parameter, (0.0, 0.0))[0]
         return bias if abs(bias) <= MOST_CORRECTED_BIAS else 0.0
 
     def doubt(self, parameter: str) -> float:
         """Return the standard deviation of a parameter's relative change once its bias is corrected."""
-        return bias_error(*self.moved.get(parameter, (0.0, 0.0)))
+        return bias_error(*self.parameter_changes.get(parameter, (0.0, 0.0)))
 
 
 def bias_error(bias: float, scatter: float) -> float:
@@ -113,7 +113,7 @@ class Evidence:
         records: Sequence[Record],
         model: Model,
         only: Sequence[Candidate] | None = None,
-        kept: Sequence[str] = (),
+        held_parameters: Sequence[str] = (),
         on_time: Sequence[str] | None = None,
     ) -> None:
         self.model, self.records = model, list(records)
@@ -121,7 +121,8 @@ class Evidence:
         self.worth_knowing = worth_knowing(records, model)  # smallest relevant size by effect
         self.by_form: dict[str, Sequence[float]] = {}  # floors of each effect by form, from sound machines
         self.lines: Mapping[tuple[str, str, str], float] = {}
-        self.kept, self.unidentifiable = tuple(kept), tuple[str, ...]()  # parameters held at the model's value
+        # parameters that every fit holds at the model's value, and parameters that the runs do not determine
+        self.held_parameters, self.unidentifiable = tuple(held_parameters), tuple[str, ...]()
         self.forms, self.travel = forms_at_scales(records, model), widest_angle_range(records)
         self.visited = angle_bounds(records)
         self.form_spread: dict[Candidate, npt.NDArray[np.float64]] = {}  # covariance of the logarithms of refined forms
@@ -143,12 +144,12 @@ class Evidence:
             )
         all_rows = self._rows()
         self.priors = dict(PRIORS)
-        names = {rows.equation for rows in all_rows}
-        if lacks_scale(names):
+        equation_names = {rows.equation for rows in all_rows}
+        if lacks_scale(equation_names):
             self.candidates = [c for c in self.candidates if c[0] not in UNDETERMINED_GAINS]
-            if not names & TORQUE_SENSOR_EQUATIONS:
+            if not equation_names & TORQUE_SENSOR_EQUATIONS:
                 self.priors["torque_constant"] = PINNED_PRIOR
-        self.priors.update(dict.fromkeys(self.kept, PINNED_PRIOR))
+        self.priors.update(dict.fromkeys(self.held_parameters, PINNED_PRIOR))
         self.stack: Stack = stack(all_rows, self.priors)
         self.weigh_as_usual()
         if on_time is None:
@@ -170,15 +171,15 @@ class Evidence:
         sound_noise : whether the noise is a sound machine's where that is lower.
         """
         for rows in self.stack.rows:
-            rows.noise = self.sound_white(rows) if sound_noise else rows.white
-            rows.dependence = self.expected(rows, rows.noise)
+            rows.noise = self.white_noise_of(rows) if sound_noise else rows.white_noise
+            rows.dependence = self.expected_unrest(rows, rows.noise)
 
     def compare_with(self, null: Null) -> None:
         """Set floors, lines and held parameters from the null of these runs, then the usual weights."""
         self.null, self.lines = null, null.lines
         self.by_form = {effect: self.floors_of(effect, sizes) for effect, sizes in null.floors.items()}
-        self.kept, self.unidentifiable = null.kept, null.unidentifiable
-        self.priors.update(dict.fromkeys(self.kept, PINNED_PRIOR))
+        self.held_parameters, self.unidentifiable = null.held_parameters, null.unidentifiable
+        self.priors.update(dict.fromkeys(self.held_parameters, PINNED_PRIOR))
         self.stack = stack(self._rows(), self.priors)
         self.weigh_as_usual()
 
@@ -207,37 +208,43 @@ class Evidence:
 
         model : model about which the columns are taken; by default that of this evidence.
         """
-        evidence = Evidence(records, model or self.model, only=hypothesis, kept=self.kept, on_time=self.on_time)
+        evidence = Evidence(
+            records, model or self.model, only=hypothesis, held_parameters=self.held_parameters, on_time=self.on_time
+        )
         if self.null is not None:
             evidence.compare_with(self.null)
         evidence.forms, evidence.by_form, evidence.worth_knowing = self.forms, self.by_form, self.worth_knowing
         evidence.form_spread = dict(self.form_spread)
         return evidence
 
-    def expected(self, rows: Rows, white: float | None = None) -> float:
+    def expected_unrest(self, rows: Rows, white_noise: float | None = None) -> float:
         """Return the unrest that a sound machine has in some rows, at least one.
 
         The null holds it as a ratio to the noise of sound machines from row to row, and as a variance: in a case with
         less noise, model errors of the same size stand out more.
 
-        white : standard deviation from row to row that the unrest is relative to; by default that of the rows.
+        white_noise : standard deviation from row to row that the unrest is relative to; by default that of the rows.
         """
         if self.null is None:
             return 1.0
         key = rows.equation, rows.kind
-        return max(1.0, self.null.unrest.get(key, 0.0), self.null.left.get(key, 0.0) / (white or rows.white) ** 2)
+        return max(
+            1.0,
+            self.null.unrest.get(key, 0.0),
+            self.null.residual_variances.get(key, 0.0) / (white_noise or rows.white_noise) ** 2,
+        )
 
-    def sound_white(self, rows: Rows) -> float:
+    def white_noise_of(self, rows: Rows) -> float:
         """Return the noise from row to row, at most a sound machine's where rounding makes most of that.
 
         A residual that swings within a few rows passes for noise. Only the noise of rounding is known in advance: where
         other noise prevails, the noise of the rows counts.
         """
-        sound_variance = self.null.white.get((rows.equation, rows.run), 0.0) if self.null is not None else 0.0
+        sound_variance = self.null.noise_variances.get((rows.equation, rows.run), 0.0) if self.null is not None else 0.0
         return (
-            min(rows.white, math.sqrt(sound_variance))
+            min(rows.white_noise, math.sqrt(sound_variance))
             if rows.rounding**2 > LEAST_ROUNDING_SHARE * sound_variance > 0.0
-            else rows.white
+            else rows.white_noise
         )
 
     def is_judged(self, rows: Rows) -> bool:
@@ -298,13 +305,13 @@ class Evidence:
 
         It is about one where white noise makes all of the residual.
         """
-        return self._mean_by_kind(lambda rows: (rows.noise / rows.white) ** 2 * rows.dependence)
+        return self._mean_by_kind(lambda rows: (rows.noise / rows.white_noise) ** 2 * rows.dependence)
 
-    def white(self) -> dict[tuple[str, str], float]:
+    def noise_variances(self) -> dict[tuple[str, str], float]:
         """Return the variance of the noise from row to row, by equation and run."""
-        return {(rows.equation, rows.run): rows.white**2 for rows in self.stack.rows}
+        return {(rows.equation, rows.run): rows.white_noise**2 for rows in self.stack.rows}
 
-    def left(self) -> dict[tuple[str, str], float]:
+    def residual_variances(self) -> dict[tuple[str, str], float]:
         """Return the residual variance times the rows per independent row, by equation and kind."""
         return self._mean_by_kind(lambda rows: rows.noise**2 * rows.dependence)
 
@@ -384,9 +391,13 @@ def correlations(values: Array, lags: int) -> Array:
     return np.asarray(irfft(spectrum * np.conj(spectrum), size)[:lags], np.float64)
 
 
-def lacks_scale(names: set[str]) -> bool:
+def lacks_scale(equation_names: set[str]) -> bool:
     """Return whether the equations only balance torques against each other: torques of zero would satisfy them."""
-    return "voltage" not in names and "axis_torque" not in names and any(name.endswith("_torque") for name in names)
+    return (
+        "voltage" not in equation_names
+        and "axis_torque" not in equation_names
+        and any(name.endswith("_torque") for name in equation_names)
+    )
 
 
 def forms_at_scales(records: Sequence[Record], model: Model) -> dict[str, list[Form]]:

@@ -128,14 +128,14 @@ def fit_further_effect(
         return None
     if effect.shaped and at_full_strength:
         gain = float((2.0 * values[0] - 1.0) / covariance[0, 0])  # at strength 1, not at the fitted one
-    names = tuple(evidence.coefficient(column) for column in columns)
-    coefficients = dict(zip(names, values.tolist(), strict=True))
+    coefficient_names = tuple(evidence.coefficient(column) for column in columns)
+    coefficients = dict(zip(coefficient_names, values.tolist(), strict=True))
     if not any_size and not effect.is_distinct(candidate[1], coefficients, evidence.visited):
         gain -= constant_torque_penalty(gain)
     if effect.shaped and any_size:
-        coefficients[names[0]] = min(abs(coefficients[names[0]]), STRENGTH_RANGE[1])
+        coefficients[coefficient_names[0]] = min(abs(coefficients[coefficient_names[0]]), STRENGTH_RANGE[1])
     size = effect.size(candidate[1], coefficients, evidence.model)
-    leading = leading_positions(names)
+    leading = leading_positions(coefficient_names)
     leading_values, leading_covariance = values[leading], covariance[np.ix_(leading, leading)]
     vector_length = max(float(np.linalg.norm(leading_values)), 1e-300)
     if not (np.isfinite(leading_values).all() and np.isfinite(leading_covariance).all()):
@@ -146,13 +146,15 @@ def fit_further_effect(
     if effect.delays:  # a delay within the uncertainty of stamps is no effect, however significant
         floor = max(floor, delay_of_stamps(evidence.stack, evidence.on_time, candidate) / ENTRY_HEIGHT)
     by_chance = 2.0 * math.log(effect.orders[1] - effect.orders[0] + 1) if effect.periodic else 0.0
-    further = FurtherEffect(candidate, gain, size, std, tuple(values.tolist()), names, covariance, floor, by_chance)
+    further = FurtherEffect(
+        candidate, gain, size, std, tuple(values.tolist()), coefficient_names, covariance, floor, by_chance
+    )
     return further if at_full_strength or any_size or is_possible(evidence, further) else None
 
 
-def leading_positions(names: Sequence[str]) -> list[int]:
+def leading_positions(coefficient_names: Sequence[str]) -> list[int]:
     """Return the positions of the coefficients that define an effect's size: both of a wave, else the first."""
-    return [k for k, name in enumerate(names) if name in WAVE_COEFFICIENTS] or [0]
+    return [k for k, name in enumerate(coefficient_names) if name in WAVE_COEFFICIENTS] or [0]
 
 
 def gain_tolerance(gain: float) -> float:
@@ -183,14 +185,14 @@ def sizes_beyond_noise(name: str, fits: Sequence[FurtherEffect | None]) -> list[
     variance is about 1 + 2 ln n.
     """
     effect = library()[name]
-    best = max((fit for fit in fits if fit is not None), key=lambda fit: fit.gain, default=None)
-    if best is None or best.gain <= 0.0:
+    best_fit = max((fit for fit in fits if fit is not None), key=lambda fit: fit.gain, default=None)
+    if best_fit is None or best_fit.gain <= 0.0:
         return []
     count = effect.orders[1] - effect.orders[0] + 1 if effect.periodic else len(effect.forms)
-    size_beyond_noise = math.sqrt(max(best.size**2 - best.std**2 * (1.0 + 2.0 * math.log(count)), 0.0))
-    stds = [best.std if fit is None or effect.periodic else fit.std for fit in fits]
+    size_beyond_noise = math.sqrt(max(best_fit.size**2 - best_fit.std**2 * (1.0 + 2.0 * math.log(count)), 0.0))
+    stds = [best_fit.std if fit is None or effect.periodic else fit.std for fit in fits]
     largest_size = MOST_SIZE_RATIO * effect_definition(name).largest
-    sizes = [min(size_beyond_noise * std / best.std, largest_size) for std in stds]
+    sizes = [min(size_beyond_noise * std / best_fit.std, largest_size) for std in stds]
     return sizes[:1] if effect.periodic else sizes
 
 
@@ -200,17 +202,17 @@ def standard_errors(name: str, fits: Sequence[FurtherEffect | None]) -> list[flo
     return [min(stds)] if library()[name].periodic else stds
 
 
-def is_possible(evidence: Evidence, item: FurtherEffect) -> bool:
+def is_possible(evidence: Evidence, further: FurtherEffect) -> bool:
     """Return whether an effect is met in the fitted size; a wave within noise is always possible."""
-    if is_beyond_range(item) or item.size + INTERVAL_STDS * item.std < library()[item.effect].least:
+    if is_beyond_range(further) or further.size + INTERVAL_STDS * further.std < library()[further.effect].least:
         return False
-    columns = evidence.columns(item.candidate)
-    return item.height <= ENTRY_HEIGHT or not outweighs_equation(evidence.stack, columns, np.asarray(item.values))
+    columns = evidence.columns(further.candidate)
+    return further.height <= ENTRY_HEIGHT or not outweighs_equation(evidence.stack, columns, np.asarray(further.values))
 
 
-def is_beyond_range(item: FurtherEffect) -> bool:
+def is_beyond_range(further: FurtherEffect) -> bool:
     """Return whether the whole interval of an effect's size lies beyond the range in which the effect is met."""
-    return item.size - INTERVAL_STDS * item.std > MOST_SIZE_RATIO * effect_definition(item.effect).largest
+    return further.size - INTERVAL_STDS * further.std > MOST_SIZE_RATIO * effect_definition(further.effect).largest
 
 
 def outweighs_equation(stack: Stack, columns: npt.NDArray[np.intp], values: Array) -> bool:
@@ -238,14 +240,16 @@ def best_of_each(
     """Return every effect that is not in a hypothesis, fitted in addition to it in its best form, by falling gain."""
     base = evidence.stack.columns_of(hypothesis)
     effects_in_set = {effect for effect, _ in hypothesis}
-    best: dict[str, FurtherEffect] = {}
+    best_by_effect: dict[str, FurtherEffect] = {}
     for candidate in evidence.candidates:
         if candidate[0] in effects_in_set:
             continue
         further = fit_further_effect(evidence, normal, base, candidate, at_full_strength)
-        if further is not None and (candidate[0] not in best or further.gain > best[candidate[0]].gain):
-            best[candidate[0]] = further
-    return sorted(best.values(), key=lambda item: -item.gain)
+        if further is not None and (
+            candidate[0] not in best_by_effect or further.gain > best_by_effect[candidate[0]].gain
+        ):
+            best_by_effect[candidate[0]] = further
+    return sorted(best_by_effect.values(), key=lambda further_effect: -further_effect.gain)
 
 
 @dataclass
@@ -328,16 +332,16 @@ def effect_to_add(evidence: Evidence, hypothesis: Sequence[Candidate]) -> Candid
 
 def shortlist(evidence: Evidence, hypothesis: Sequence[Candidate]) -> list[Candidate]:
     """Return the effects worth fitting in addition to a set, the best of both rankings."""
-    listed: list[Candidate] = []
+    shortlisted: list[Candidate] = []
     for rounds in NOISE_ROUNDS:
         test = CandidateTest(evidence, hypothesis, rounds)
         ranked = [
-            item.candidate
-            for item in best_of_each(evidence, test.normal, hypothesis)
-            if item.height > ENTRY_HEIGHT and test.exceeds_form_error(item.candidate)
+            further.candidate
+            for further in best_of_each(evidence, test.normal, hypothesis)
+            if further.height > ENTRY_HEIGHT and test.exceeds_form_error(further.candidate)
         ]
-        listed += [candidate for candidate in ranked[:MOST_SHORTLISTED] if candidate not in listed]
-    return listed
+        shortlisted += [candidate for candidate in ranked[:MOST_SHORTLISTED] if candidate not in shortlisted]
+    return shortlisted
 
 
 class CandidateTest:
@@ -444,7 +448,7 @@ def exchange(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]
         normal, changed = evidence.normal(), False
         for index in range(len(hypothesis)):
             others = hypothesis[:index] + hypothesis[index + 1 :]
-            ranked = [item for item in best_of_each(evidence, normal, others) if item.height > ENTRY_HEIGHT]
+            ranked = [further for further in best_of_each(evidence, normal, others) if further.height > ENTRY_HEIGHT]
             if ranked and ranked[0].candidate != hypothesis[index]:
                 changed = changed or ranked[0].effect != hypothesis[index][0]
                 hypothesis = [*hypothesis[:index], ranked[0].candidate, *hypothesis[index + 1 :]]
@@ -491,14 +495,14 @@ def replace_by_refined_rivals(evidence: Evidence, hypothesis: list[Candidate]) -
     for index, candidate in enumerate(hypothesis):
         others = hypothesis[:index] + hypothesis[index + 1 :]
         ranked = best_of_each(evidence, evidence.normal(), others)
-        gain_of_member = next((item.gain for item in ranked if item.effect == candidate[0]), math.inf)
+        gain_of_member = next((further.gain for further in ranked if further.effect == candidate[0]), math.inf)
         close_rivals = [
-            item.candidate
-            for item in ranked
-            if item.height > ENTRY_HEIGHT
-            and gain_of_member - item.gain < CLOSE_RIVAL_FACTOR * gain_tolerance(gain_of_member)
-            and item.effect != candidate[0]
-            and not strength_determines_form(*item.candidate)
+            further.candidate
+            for further in ranked
+            if further.height > ENTRY_HEIGHT
+            and gain_of_member - further.gain < CLOSE_RIVAL_FACTOR * gain_tolerance(gain_of_member)
+            and further.effect != candidate[0]
+            and not strength_determines_form(*further.candidate)
         ]
         for rival in close_rivals[:MOST_SHORTLISTED]:
             refine_member(evidence, others, rival)  # its finer forms are among the candidates from here on
@@ -664,10 +668,10 @@ def refined_form(evidence: Evidence, others: list[Candidate], name: str, form: F
             )
             candidates = [(name, (*map(mul, form, step), *form[len(step) :])) for step in steps]
             gains, all_possible = gains_of(evidence, others, candidates)
-            best = max(gains, key=lambda tried_form: gains[tried_form], default=form)
-            if gains.get(best, -math.inf) <= gains.get(form, -math.inf) + EQUAL_FIT_DIFFERENCE:
+            best_form = max(gains, key=lambda tried_form: gains[tried_form], default=form)
+            if gains.get(best_form, -math.inf) <= gains.get(form, -math.inf) + EQUAL_FIT_DIFFERENCE:
                 break
-            form = best
+            form = best_form
         if all_possible and max(gains.values()) - min(gains.values()) < LEAST_FORM_DIFFERENCE:
             break
     return form
@@ -679,7 +683,7 @@ def prune(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
         evidence.settle(hypothesis)
         normal = evidence.normal()
         members = [member(evidence, normal, hypothesis, k) for k in range(len(hypothesis))]
-        heights = [item.height if item is not None else 0.0 for item in members]
+        heights = [further.height if further is not None else 0.0 for further in members]
         lowest_first = [int(k) for k in np.argsort(heights, kind="stable")]
         if heights[lowest_first[0]] <= ENTRY_HEIGHT:
             unsupported: int | None = lowest_first[0]
@@ -739,8 +743,12 @@ def make_whole(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidat
         for _ in range(WHOLE_ROUNDS):
             evidence.settle(hypothesis)
             ranked_by_share = best_of_each(evidence, evidence.normal(), others)
-            shaped = [item for item in ranked_by_share if library()[item.effect].shaped and item.height > ENTRY_HEIGHT]
-            whole_forms = [(item.effect, whole_form(item)) for item in shaped]
+            shaped = [
+                further
+                for further in ranked_by_share
+                if library()[further.effect].shaped and further.height > ENTRY_HEIGHT
+            ]
+            whole_forms = [(further.effect, whole_form(further)) for further in shaped]
             evidence.add(whole_forms)
             for candidate in whole_forms:
                 if candidate[0] == hypothesis[index][0]:
@@ -752,9 +760,9 @@ def make_whole(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidat
     return hypothesis
 
 
-def whole_form(item: FurtherEffect) -> tuple[float, ...]:
+def whole_form(further: FurtherEffect) -> tuple[float, ...]:
     """Return the form at which a shaped effect has a strength of one, to three digits."""
-    form = library()[item.effect].whole(item.candidate[1], item.values[0])
+    form = library()[further.effect].whole(further.candidate[1], further.values[0])
     return tuple(float(f"{value:.3g}") for value in form)
 
 

@@ -62,11 +62,11 @@ def with_free_forms(
     groups = [with_effects_alone(rows, hypothesis) for rows in normal.stack.rows]
     count = 0
     for member in members:
-        parts = [part_of(rows, normal, fit, member) for rows in groups]
+        parts_of_groups = [explained_part(rows, normal, fit, member) for rows in groups]
         for variable in effect_definition(member[0]).acts_over:
-            count += add_free_form(groups, parts, member, variable)
+            count += add_free_form(groups, parts_of_groups, member, variable)
             if variable == "angle":
-                count += add_free_form(groups, parts, member, variable, within_a_turn=True)
+                count += add_free_form(groups, parts_of_groups, member, variable, within_a_turn=True)
     positions = {name[1]: position for name, position in normal.stack.position_of.items() if name[0] == "calibration"}
     priors = {parameter: float(normal.stack.priors[position]) for parameter, position in positions.items()}
     return Normal(stack(groups, priors), normal.weights), count
@@ -81,7 +81,7 @@ def with_effects_alone(rows: Rows, hypothesis: Sequence[Candidate]) -> Rows:
     return replace(rows, columns=columns, gram=None)
 
 
-def part_of(rows: Rows, normal: Normal, fit: Fit, member: Candidate) -> Array:
+def explained_part(rows: Rows, normal: Normal, fit: Fit, member: Candidate) -> Array:
     """Return the part of some rows that a member explains under a fit."""
     explained = np.zeros(len(rows.left_over))
     for column, value in zip(fit.columns, fit.values, strict=True):
@@ -93,7 +93,7 @@ def part_of(rows: Rows, normal: Normal, fit: Fit, member: Candidate) -> Array:
 
 def add_free_form(
     groups: Sequence[Rows],
-    parts: Sequence[Array],
+    parts_of_groups: Sequence[Array],
     member: Candidate,
     variable: Variable,
     within_a_turn: bool = False,
@@ -106,7 +106,7 @@ def add_free_form(
     Parameters
     ----------
     groups : groups of rows that get columns.
-    parts : the part of each group that the member explains.
+    parts_of_groups : the part of each group that the member explains.
     within_a_turn : whether an angle is folded into one turn; no column is added where no run turns farther than that.
 
     Returns
@@ -114,28 +114,30 @@ def add_free_form(
     int : number of coefficients; 0 where no run shows the variable, or it has few values.
     """
     values_by_group: dict[int, Array] = {}
-    for index, (rows, part) in enumerate(zip(groups, parts, strict=True)):
+    for index, (rows, part_of_group) in enumerate(zip(groups, parts_of_groups, strict=True)):
         values = variable_in(variable, rows.equation, rows.signals)
-        if values is not None and part.any():
+        if values is not None and part_of_group.any():
             values_by_group[index] = values[rows.index]
     if within_a_turn:
         exceeds_a_turn = any(np.ptp(values) > TURN for values in values_by_group.values())
         values_by_group = {index: values % TURN for index, values in values_by_group.items()} if exceeds_a_turn else {}
     if not values_by_group:
         return 0
-    knots = knots_where([values[acts_in(parts[index])] for index, values in values_by_group.items()])
+    knots = knots_where([values[acts_in(parts_of_groups[index])] for index, values in values_by_group.items()])
     if within_a_turn and knots.size and knots[0] + TURN - knots[-1] < 0.5 * TURN / KNOTS:
         knots = knots[:-1]  # the last knot nearly coincides with the first, one turn later
     if not knots.size:
         return 0
-    acts_elsewhere = any(part.any() for index, part in enumerate(parts) if index not in values_by_group)
+    acts_elsewhere = any(
+        part_of_group.any() for index, part_of_group in enumerate(parts_of_groups) if index not in values_by_group
+    )
     free_over = f"{variable} within a turn" if within_a_turn else variable
     hat_indices = range(0 if acts_elsewhere else 1, len(knots))
     for index, values in values_by_group.items():
         hat_values = hats(values, knots, TURN if within_a_turn else None)
         for hat_index in hat_indices:
             name: Column = ("effect", member[0], repr(member[1]), f"free over {free_over} {hat_index}")
-            groups[index].columns[name] = parts[index] * hat_values[:, hat_index]
+            groups[index].columns[name] = parts_of_groups[index] * hat_values[:, hat_index]
     return len(hat_indices)
 
 

@@ -149,8 +149,8 @@ def nominal_value(model: Model, parameter: str) -> float | None:
     if parameter.startswith("load.") and getattr(model.load, parameter.removeprefix("load."), None) is None:
         parameter = parameter.removeprefix("load.")
     value: Any = model
-    for part in parameter.split("."):
-        value = getattr(value, part, None)
+    for attribute in parameter.split("."):
+        value = getattr(value, attribute, None)
         if value is None:
             return None
     return float(value)
@@ -159,12 +159,12 @@ def nominal_value(model: Model, parameter: str) -> float | None:
 def with_calibration(model: Model, parameters: Sequence[CalibratedParameter]) -> Model:
     """Return the model with fitted parameters."""
     document = as_mapping(model)
-    for item in parameters:
+    for parameter in parameters:
         section = document
-        *path, entry = item.parameter.split(".")
-        for part in path:
-            section = section.setdefault(part, {})
-        section[entry] = item.fitted
+        *path, last_key = parameter.parameter.split(".")
+        for key in path:
+            section = section.setdefault(key, {})
+        section[last_key] = parameter.fitted
     return Model.model_validate(document)
 
 
@@ -225,9 +225,11 @@ def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tup
     values, covariance = values / fitted_ratio, covariance / fitted_ratio**2
 
     def with_form(numbers: Sequence[float], coefficients: Array) -> dict[str, float]:
+        """Return the parameters for the numbers of a form and its coefficients."""
         return effect.parameters(tuple(numbers), dict(zip(names, coefficients.tolist(), strict=True)), model)
 
     def with_logs(logs: Array) -> dict[str, float]:
+        """Return the parameters with the first numbers of the form scaled by the exponentials of logarithms."""
         return with_form([*(form[: len(logs)] * np.exp(logs)), *form[len(logs) :]], values)
 
     parameters, units = with_form(form, values), effect_definition(name).parameters

@@ -41,7 +41,7 @@ class Rows:
     index: npt.NDArray[np.intp]  # sample of the signals that each row is centred on
     block: npt.NDArray[np.intp]  # stretch of the run that each row lies in
     signals: Signals
-    white: float  # standard deviation of the noise from row to row, by differences of neighbours
+    white_noise: float  # standard deviation of the noise from row to row, by differences of neighbours
     noise: float = 0.0  # standard deviation of a row
     dependence: float = 1.0  # rows per independent row
     levels: float = math.inf  # number of levels of a rounded channel

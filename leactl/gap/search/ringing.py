@@ -51,9 +51,9 @@ def highest_lines(evidence: Evidence, fit: Fit, searched: Sequence[bool]) -> dic
     for index, rows in enumerate(evidence.stack.rows):
         if not searched[index] or not evidence.is_judged(rows) or len(rows.index) < SEGMENT:
             continue
-        if evidence.expected(rows) > MOST_EVEN_UNREST:
+        if evidence.expected_unrest(rows) > MOST_EVEN_UNREST:
             continue
-        residual = without_followed_part(rows, residuals(evidence.stack, fit, index)) / rows.white
+        residual = without_followed_part(rows, residuals(evidence.stack, fit, index)) / rows.white_noise
         step = int(np.min(np.diff(rows.index)))
         grid_index = (rows.index - rows.index[0]) // step
         values_on_grid = np.full(grid_index[-1] + 1, np.nan)

@@ -52,14 +52,14 @@ class Judged:
     peers: tuple[str, ...]  # rivals that the data cannot tell apart from the member
 
 
-def judge(evidence: Evidence, result: EffectSet, held_out_gains: Mapping[Candidate, float]) -> list[Judged]:
+def judge(evidence: Evidence, effect_set: EffectSet, held_out_gains: Mapping[Candidate, float]) -> list[Judged]:
     """Return the judgement of each member of a set, the most probable first.
 
     held_out_gains : gain of each member on runs that were not fitted.
     """
-    judged = []
-    for index, (member, rivals) in enumerate(zip(result.members, result.rivals, strict=True)):
-        explained = result.explained(evidence, index)
+    judgements = []
+    for index, (member, rivals) in enumerate(zip(effect_set.members, effect_set.rivals, strict=True)):
+        explained = effect_set.explained(evidence, index)
         presence_probability = (
             presence(member.height)
             * coverage(explained - library()[member.effect].explains)
@@ -67,7 +67,10 @@ def judge(evidence: Evidence, result: EffectSet, held_out_gains: Mapping[Candida
         )
         weights = [
             math.exp(
-                min((rival.gain - member.gain) / (2.0 * pair_gain_tolerance(member, rival, result.squares_missed)), 2.0)
+                min(
+                    (rival.gain - member.gain) / (2.0 * pair_gain_tolerance(member, rival, effect_set.squares_missed)),
+                    2.0,
+                )
             )
             * presence(rival.height)
             for rival in rivals[1:]
@@ -86,8 +89,8 @@ def judge(evidence: Evidence, result: EffectSet, held_out_gains: Mapping[Candida
             (rival, presence_probability * weight / total_weight)
             for rival, weight in zip(rivals[1:], weights, strict=True)
         )
-        judged.append(Judged(member, explained, presence_probability * class_share, rival_probabilities, peers))
-    return sorted(judged, key=lambda item: -item.probability)
+        judgements.append(Judged(member, explained, presence_probability * class_share, rival_probabilities, peers))
+    return sorted(judgements, key=lambda judgement: -judgement.probability)
 
 
 def pair_gain_tolerance(
@@ -123,7 +126,7 @@ def presence(height: float) -> float:
     return MOST_PROBABILITY / (1.0 + math.exp(-HEIGHT_SLOPE * (height - EVEN_HEIGHT)))
 
 
-def unrest_of_runs(evidence: Evidence, result: EffectSet) -> RunRatios:
+def unrest_of_runs(evidence: Evidence, effect_set: EffectSet) -> RunRatios:
     """Return the unrest of each run by channel: its slow unexplained power over that of machines without an effect.
 
     Noise changes from one row to the next. Power that does not, and that makes neighbouring rows alike, is model error.
@@ -132,12 +135,12 @@ def unrest_of_runs(evidence: Evidence, result: EffectSet) -> RunRatios:
     for index, rows in enumerate(evidence.stack.rows):
         if not evidence.is_judged(rows):
             continue
-        white = evidence.sound_white(rows)
-        unrest_ratio = (rows.noise / white) ** 2 * rows.dependence
-        expected_unrest = evidence.expected(rows, white)
-        slow_power = max(rows.noise**2 - white**2 * OVERLAP_NOISE_RATIO, 0.0)
+        white_noise = evidence.white_noise_of(rows)
+        unrest_ratio = (rows.noise / white_noise) ** 2 * rows.dependence
+        expected_unrest = evidence.expected_unrest(rows, white_noise)
+        slow_power = max(rows.noise**2 - white_noise**2 * OVERLAP_NOISE_RATIO, 0.0)
         # a slow residual far below the largest part of its equation shows nothing, either
-        if is_left_by_form(result, index) or slow_power < (LEAST_SLOW_RESIDUAL * largest_part(rows)) ** 2:
+        if is_left_by_form(effect_set, index) or slow_power < (LEAST_SLOW_RESIDUAL * largest_part(rows)) ** 2:
             unrest_ratio = min(unrest_ratio, expected_unrest)
         ratios.setdefault((rows.equation, rows.quantity, rows.mechanical), []).append(
             (rows.run, unrest_ratio / expected_unrest)
@@ -155,15 +158,15 @@ def median_of(values: Iterable[float]) -> float:
     return float(np.median(list(values)))
 
 
-def is_left_by_form(result: EffectSet, index: int) -> bool:
+def is_left_by_form(effect_set: EffectSet, index: int) -> bool:
     """Return whether a nearly right form of a large effect explains the residual of one group of rows."""
-    return result.squares_left[index] < FORM_LEFT_SHARE * result.squares_taken[index]
+    return effect_set.squares_left[index] < FORM_LEFT_SHARE * effect_set.squares_taken[index]
 
 
 def largest_part(rows: Rows) -> float:
     """Return the root mean square of the largest part of an equation that a calibrated parameter scales."""
-    parts = (column for name, column in rows.columns.items() if name[0] == "calibration")
-    return max((float(np.sqrt(np.mean(part**2))) for part in parts), default=0.0)
+    scaled_columns = (column for name, column in rows.columns.items() if name[0] == "calibration")
+    return max((float(np.sqrt(np.mean(scaled_column**2))) for scaled_column in scaled_columns), default=0.0)
 
 
 @dataclass(frozen=True)
@@ -254,13 +257,16 @@ def mean_squares_by_run(stacked: Stack, fit: Fit) -> dict[tuple[str, str, str, s
     """
     squares_by_kind: dict[tuple[str, str, str, str], dict[str, list[tuple[float, float]]]] = {}
     for index, rows in enumerate(stacked.rows):
-        residual_and_noise = float(np.mean(residuals(stacked, fit, index) ** 2)), rows.white**2
+        residual_and_noise = float(np.mean(residuals(stacked, fit, index) ** 2)), rows.white_noise**2
         squares_of_runs = squares_by_kind.setdefault((rows.equation, rows.quantity, rows.mechanical, rows.kind), {})
         squares_of_runs.setdefault(rows.run, []).append(residual_and_noise)
     return {
         key: {
-            run: (median_of(square for square, _ in pairs), median_of(square for _, square in pairs))
-            for run, pairs in runs.items()
+            run: (
+                median_of(square for square, _ in residuals_and_noises),
+                median_of(square for _, square in residuals_and_noises),
+            )
+            for run, residuals_and_noises in runs.items()
         }
         for key, runs in squares_by_kind.items()
     }

@@ -54,7 +54,7 @@ def null_notes(evidence: Evidence, null: Null) -> tuple[str, ...]:
     notes = []
     if null.unidentifiable:
         changes_text = ", ".join(
-            f"{name} ({100.0 * math.hypot(*null.moved[name]):.0f} %)" for name in null.unidentifiable
+            f"{name} ({100.0 * math.hypot(*null.parameter_changes[name]):.0f} %)" for name in null.unidentifiable
         )
         notes.append(
             f"these runs cannot tell {changes_text}: fits to simulated sound runs move it so far; the model's is kept"

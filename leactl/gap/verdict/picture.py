@@ -108,8 +108,8 @@ def draw_pictures(
     alternatives : forms of effects that may be named instead of a fitted one.
     held_out : held-out runs, whose residuals are drawn.
     """
-    sets = {cause.effect: set_for_cause(cause, hypothesis, alternatives) for cause in causes}
-    all_candidates = list(dict.fromkeys(candidate for candidates in sets.values() for candidate in candidates))
+    set_of_cause = {cause.effect: set_for_cause(cause, hypothesis, alternatives) for cause in causes}
+    all_candidates = list(dict.fromkeys(candidate for candidates in set_of_cause.values() for candidate in candidates))
     if not all_candidates or not held_out:
         return tuple(causes)
     held_out_evidence = evidence.on(held_out, all_candidates)
@@ -119,7 +119,7 @@ def draw_pictures(
     normal, with_pictures = held_out_evidence.normal(), []
     for cause in causes:
         drawing = None
-        if candidates := sets[cause.effect]:
+        if candidates := set_of_cause[cause.effect]:
             without_cause = [candidate for candidate in candidates if candidate[0] != cause.effect]
             [form] = [candidate for candidate in candidates if candidate[0] == cause.effect]
             before, after = (
@@ -163,7 +163,9 @@ def draw_pictures_of_replays(
         runs_by_channel.setdefault((channel.quantity, channel.role, channel.mechanical), []).append(
             (by_name[channel.run], channel)
         )
-    residuals_by_replay = [replayed_residuals(group) for group in runs_by_channel.values()]
+    residuals_by_replay = [
+        replayed_residuals(records_and_channels) for records_and_channels in runs_by_channel.values()
+    ]
     return tuple(
         replace(cause, picture=picture(cause, residuals_by_replay))
         if cause.effect in applied_effects and cause.picture is None
@@ -172,24 +174,33 @@ def draw_pictures_of_replays(
     )
 
 
-def replayed_residuals(group: Sequence[tuple[Record, Compared]]) -> ActingResiduals:
+def replayed_residuals(records_and_channels: Sequence[tuple[Record, Compared]]) -> ActingResiduals:
     """Return the residuals of the replays of one channel on several runs, weighted by its noise."""
-    first_channel = group[0][1]
+    first_channel = records_and_channels[0][1]
     before, after = (
-        np.concatenate([compared.measured - compared.replayed[k] for _, compared in group]) for k in (1, 2)
+        np.concatenate([compared.measured - compared.replayed[k] for _, compared in records_and_channels])
+        for k in (1, 2)
     )
-    groups = np.concatenate([compared.block + (run << 32) for run, (_, compared) in enumerate(group)])
+    groups = np.concatenate([compared.block + (run << 32) for run, (_, compared) in enumerate(records_and_channels)])
     values: dict[Variable, Array] = {}
     for name in VARIABLE_FUNCTIONS:
-        series = [variable_of(record, compared, name) for record, compared in group if VARIABLES[name].quantity == name]
+        series = [
+            variable_of(record, compared, name)
+            for record, compared in records_and_channels
+            if VARIABLES[name].quantity == name
+        ]
         measured_series = [column for column in series if column is not None]
-        if len(measured_series) == len(group):
+        if len(measured_series) == len(records_and_channels):
             # interpolation between samples gives a direction values between -1 and 1
             joined = np.concatenate(measured_series)
             values[name] = np.asarray(np.round(joined) if name == "direction" else joined, np.float64)
     # a channel without noise, as in a computed log, is known to the precision of its numbers
-    precision = EPSILON * float(np.max(np.abs(np.concatenate([compared.measured for _, compared in group]))))
-    noise = max(float(np.sqrt(np.mean([compared.noise**2 for _, compared in group]))), precision, LEAST_SQUARABLE)
+    precision = EPSILON * float(
+        np.max(np.abs(np.concatenate([compared.measured for _, compared in records_and_channels])))
+    )
+    noise = max(
+        float(np.sqrt(np.mean([compared.noise**2 for _, compared in records_and_channels]))), precision, LEAST_SQUARABLE
+    )
     gain = float(np.sum(before**2 - after**2)) / noise**2
     channel = ResidualChannel(
         first_channel.quantity, first_channel.role, first_channel.mechanical, "replay", UNITS[first_channel.quantity]
@@ -345,9 +356,9 @@ def view_of(acting: ActingResiduals, variables: Sequence[Variable], periods: flo
         values, view_periods = acting.values[variable], None
         if variable == "angle" and repeats(values, periods, lambda angle: bins_over(acting, angle)[2].explained):
             values, view_periods = fold_angle(values, periods), periods
-        edges, place, along = bins_over(acting, values)
+        edges, bin_of_row, along = bins_over(acting, values)
         if len(edges) >= FEWEST_EDGES:
-            views.append(View(acting, variable, view_periods, edges, place, along))
+            views.append(View(acting, variable, view_periods, edges, bin_of_row, along))
     return first_that_follows(views, lambda view: view.along.explained)
 
 

@@ -30,7 +30,7 @@ class RuledOut(NamedTuple):
 
 
 def nearest_of_classes(
-    hypothesis: Sequence[Candidate], judged: Sequence[Judged], compare: Compare
+    hypothesis: Sequence[Candidate], judgements: Sequence[Judged], compare: Compare
 ) -> tuple[list[Candidate], list[RuledOut]]:
     """Return the set with the effect of each class that fits held-out runs best in replays, and the effects ruled out.
 
@@ -38,29 +38,31 @@ def nearest_of_classes(
     whole course. Neither of two effects is ruled out where the difference is unclear, or where even the better replay
     misses a channel by more than `MOST_REPLAY_MISS` floors: another error there may favour either effect.
     """
-    nearest, ruled_out = list(hypothesis), list[RuledOut]()
-    for item in judged:
-        member = item.finding.candidate
-        for rival, _ in item.rivals:
-            if rival.effect not in item.peers or rival.effect in {effect for effect, _ in nearest}:
+    nearest_set, ruled_out = list(hypothesis), list[RuledOut]()
+    for judgement in judgements:
+        member = judgement.finding.candidate
+        for rival, _ in judgement.rivals:
+            if rival.effect not in judgement.peers or rival.effect in {effect for effect, _ in nearest_set}:
                 continue
-            with_rival = [rival.candidate if candidate == member else candidate for candidate in nearest]
-            squared_ratio = compare(nearest, with_rival)
+            with_rival = [rival.candidate if candidate == member else candidate for candidate in nearest_set]
+            squared_ratio = compare(nearest_set, with_rival)
             if squared_ratio.worst_miss > MOST_REPLAY_MISS:
                 continue
             if squared_ratio.low > 1.0 and squared_ratio.value > RULED_OUT_RATIO:
                 ruled_out.append(RuledOut(rival.effect, member[0], squared_ratio.value))
             elif squared_ratio.high < 1.0 and squared_ratio.value < 1.0 / RULED_OUT_RATIO:
                 ruled_out.append(RuledOut(member[0], rival.effect, 1.0 / squared_ratio.value))
-                nearest, member = with_rival, rival.candidate
-    return nearest, ruled_out
+                nearest_set, member = with_rival, rival.candidate
+    return nearest_set, ruled_out
 
 
-def without_ruled_out(item: Judged, ruled_out: Sequence[RuledOut]) -> Judged:
+def without_ruled_out(judgement: Judged, ruled_out: Sequence[RuledOut]) -> Judged:
     """Return the judgement of a member without the effects ruled out in its class: rivals with probability 0."""
-    effects_of_class = {item.finding.effect, *item.peers}
+    effects_of_class = {judgement.finding.effect, *judgement.peers}
     ruled_out_names = {effect.effect for effect in ruled_out if effect.by in effects_of_class}
     rivals = tuple(
-        (rival, 0.0 if rival.effect in ruled_out_names else probability) for rival, probability in item.rivals
+        (rival, 0.0 if rival.effect in ruled_out_names else probability) for rival, probability in judgement.rivals
     )
-    return replace(item, rivals=rivals, peers=tuple(name for name in item.peers if name not in ruled_out_names))
+    return replace(
+        judgement, rivals=rivals, peers=tuple(name for name in judgement.peers if name not in ruled_out_names)
+    )

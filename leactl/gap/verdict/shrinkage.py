@@ -257,10 +257,10 @@ def _log_gaps(sums: Array) -> Array:
     return np.asarray(0.5 * (logs[..., :3] - logs[..., 3:]), np.float64)
 
 
-def _shrinkage_of(group: list[Compared], random: np.random.Generator) -> Shrinkage:
+def _shrinkage_of(compared_runs: list[Compared], random: np.random.Generator) -> Shrinkage:
     """Return the shrinkage of one channel's gap, with the interval of its closed share from resampled blocks."""
-    channel = group[0]
-    counts, sums = _blocks(group)
+    channel = compared_runs[0]
+    counts, sums = _blocks(compared_runs)
     nominal, calibrated, augmented, floor = (float(rms) for rms in np.sqrt(sums.sum(axis=0) / counts.sum()))
     closed_share = closed_low = closed_high = None
     if calibrated > LEAST_GAP_FLOORS * floor:
@@ -298,13 +298,13 @@ def closed_interval(resampled_gaps: Array) -> tuple[float, float] | tuple[None, 
     return float(low), float(high)
 
 
-def _blocks(group: list[Compared]) -> tuple[Array, Array]:
+def _blocks(compared_runs: list[Compared]) -> tuple[Array, Array]:
     """Return the number of samples of each block, and its sums of squares: of the three models and the floor.
 
     Shapes are (blocks,) and (blocks, 4).
     """
     counts, sums = [], []
-    for channel in group:
+    for channel in compared_runs:
         block_count = int(channel.block[-1]) + 1
         samples_of_blocks = np.bincount(channel.block, minlength=block_count).astype(float)
         squares_by_column = [*(channel.squares(model) for model in range(3)), channel.floor_squares()]
@@ -320,9 +320,9 @@ def _blocks(group: list[Compared]) -> tuple[Array, Array]:
     return np.concatenate(counts), np.concatenate(sums)
 
 
-def _trace(group: list[Compared]) -> Trace:
+def _trace(compared_runs: list[Compared]) -> Trace:
     """Return the trace of the run in which the calibrated model has the largest gap."""
-    worst = max(group, key=lambda channel: float(np.mean(channel.squares(1))))
+    worst = max(compared_runs, key=lambda channel: float(np.mean(channel.squares(1))))
     window = _trace_window(worst)
     return Trace(
         worst.run,

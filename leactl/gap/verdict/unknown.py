@@ -160,7 +160,7 @@ def sample_of(stacked: Stack, fit: Fit, indices: Sequence[int]) -> Sample:
 
 def squares_beyond_noise(stacked: Stack, indices: Sequence[int], sample: Sample) -> float:
     """Return the squares of a sample beyond the noise from row to row, at least zero."""
-    noise_squares = sum(len(stacked.rows[index].left_over) * stacked.rows[index].white ** 2 for index in indices)
+    noise_squares = sum(len(stacked.rows[index].left_over) * stacked.rows[index].white_noise ** 2 for index in indices)
     return max(float(np.sum(sample.residual**2)) - noise_squares, 0.0)
 
 
@@ -267,38 +267,40 @@ def deciding_protocol(
     return best_plan.name if (near_effects | effects_over_variables).intersection(best_plan.separates) else None
 
 
-def nearest_effects(result: EffectSet, judged: Sequence[Judged], refused: Sequence[Near]) -> tuple[Near, ...]:
+def nearest_effects(effect_set: EffectSet, judgements: Sequence[Judged], refused: Sequence[Near]) -> tuple[Near, ...]:
     """Return the effects that are near but not named: first withdrawn ones, then improbable ones, then others.
 
     refused : withdrawn effects.
     """
     near_effects = {effect.effect: effect for effect in refused}
-    for item in judged:
-        if item.probability < NAMED_PROBABILITY and item.finding.effect not in near_effects:
-            near_effects[item.finding.effect] = Near(item.finding.effect, reason_for_doubt(item))
-    for further in sorted(result.further_effects, key=lambda effect: -effect.height):
+    for judgement in judgements:
+        if judgement.probability < NAMED_PROBABILITY and judgement.finding.effect not in near_effects:
+            near_effects[judgement.finding.effect] = Near(judgement.finding.effect, reason_for_doubt(judgement))
+    for further in sorted(effect_set.further_effects, key=lambda effect: -effect.height):
         if further.effect not in near_effects and further.height > LEAST_NEAR_HEIGHT:
             near_effects[further.effect] = Near(further.effect, reason_kept_out(further))
     return tuple(near_effects.values())
 
 
-def reason_for_doubt(item: Judged) -> str:
+def reason_for_doubt(member: Judged) -> str:
     """Return why a member of a set is not named."""
-    needed_share = library()[item.finding.effect].explains
-    if item.explained < needed_share:
+    needed_share = library()[member.finding.effect].explains
+    if member.explained < needed_share:
         shares = (
-            f"{100 * item.explained:.0f} % of the gap where it acts; a form of it explains {100 * needed_share:.0f} %"
+            f"{100 * member.explained:.0f} % of the gap where it acts; a form of it explains {100 * needed_share:.0f} %"
         )
         return f"the set explains {shares} or more"
-    if presence(item.finding.height) < NAMED_PROBABILITY:
-        return f"its size is {item.finding.height:.3g} times its uncertainty and floor; even odds need {EVEN_HEIGHT:g}"
-    if item.rivals:
-        return f"{item.rivals[0][0].effect} explains as much"
+    if presence(member.finding.height) < NAMED_PROBABILITY:
+        return (
+            f"its size is {member.finding.height:.3g} times its uncertainty and floor; even odds need {EVEN_HEIGHT:g}"
+        )
+    if member.rivals:
+        return f"{member.rivals[0][0].effect} explains as much"
     return "held-out runs do not bear it out"
 
 
-def reason_kept_out(item: FurtherEffect) -> str:
+def reason_kept_out(further: FurtherEffect) -> str:
     """Return why an effect did not enter a set."""
-    if item.height <= ENTRY_HEIGHT:
-        return f"its size is {item.height:.3g} times its uncertainty and floor; {ENTRY_HEIGHT:g} are needed"
+    if further.height <= ENTRY_HEIGHT:
+        return f"its size is {further.height:.3g} times its uncertainty and floor; {ENTRY_HEIGHT:g} are needed"
     return "what it takes away is no more than the set's own forms may miss"

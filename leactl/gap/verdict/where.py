@@ -128,14 +128,14 @@ def bin_statistics(values: Array, residuals: Array) -> tuple[Array, Array, Array
     return low[has_enough], high[has_enough], mean, std
 
 
-def practical_floor(group: Sequence[Compared]) -> float:
+def practical_floor(compared_runs: Sequence[Compared]) -> float:
     """Return the noise floor of a channel, raised by the error that a replay of the right model would have.
 
     Sticking and restarts make such a replay miss by a few times the noise. The part of the calibrated distance that
     the augmented model has as well, up to `MOST_REPLAY_MISS` floors, is therefore no gap.
     """
-    floor = rms([channel.floor_squares() for channel in group])
-    calibrated, augmented = (rms([channel.squares(model) for channel in group]) for model in (1, 2))
+    floor = rms([channel.floor_squares() for channel in compared_runs])
+    calibrated, augmented = (rms([channel.squares(model) for channel in compared_runs]) for model in (1, 2))
     common_miss = min(max(floor, min(calibrated, augmented)), MOST_REPLAY_MISS * floor)
     squares_beyond_miss = floor**2 + calibrated**2 - common_miss**2
     return calibrated * floor / math.sqrt(squares_beyond_miss) if squares_beyond_miss > 0.0 else floor
@@ -146,9 +146,9 @@ def rms(squares: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(list(squares)))))
 
 
-def closes_most(group: Sequence[Compared], floor: float) -> bool:
+def closes_most(compared_runs: Sequence[Compared], floor: float) -> bool:
     """Return whether the augmented model explains most of the calibrated model's squares beyond the floor."""
-    calibrated, augmented = (rms([channel.squares(model) for channel in group]) ** 2 for model in (1, 2))
+    calibrated, augmented = (rms([channel.squares(model) for channel in compared_runs]) ** 2 for model in (1, 2))
     return calibrated - augmented > 0.5 * (calibrated - floor**2)
 
 
@@ -164,7 +164,7 @@ class GapOverVariable:
 
 
 def region_of_effects(
-    group: Sequence[tuple[Record, Compared]], effects: Sequence[Cause]
+    records_and_channels: Sequence[tuple[Record, Compared]], effects: Sequence[Cause]
 ) -> tuple[Region | None, float] | None:
     """Return the interval of an effect's variable that holds most of the gap, and its share; None if there is none.
 
@@ -176,7 +176,7 @@ def region_of_effects(
     views = [
         view
         for quantity, periods in quantities_and_periods
-        if (view := over_quantity(group, quantity, periods)) is not None
+        if (view := over_quantity(records_and_channels, quantity, periods)) is not None
     ]
     best = first_that_follows(views, lambda view: view.explained)
     if best is None or (interval := narrowest_interval(best.values, best.squares)) is None:
@@ -192,10 +192,12 @@ def region_quantities(effect: str) -> list[str]:
     return [quantity for quantity in quantities if quantity is not None]
 
 
-def over_quantity(group: Sequence[tuple[Record, Compared]], quantity: str, periods: float) -> GapOverVariable | None:
+def over_quantity(
+    records_and_channels: Sequence[tuple[Record, Compared]], quantity: str, periods: float
+) -> GapOverVariable | None:
     """Return the gap of a channel over a quantity, folded within a turn if it repeats; None where no run has it."""
     values, differences, squares, signs, block_count = [], [], [], [], 0
-    for record, channel in group:
+    for record, channel in records_and_channels:
         series = variable_of(record, channel, quantity)
         if series is None:
             continue
@@ -210,6 +212,7 @@ def over_quantity(group: Sequence[tuple[Record, Compared]], quantity: str, perio
     series, difference, sign = (np.concatenate(rows) for rows in (values, differences, signs))
 
     def explained(folded_values: Array) -> float:
+        """Return the share of the difference that follows a variable, times the sign of the direction or not."""
         bins = bin_of(folded_values, bin_edges(folded_values, difference, bin_count(block_count)))
         return best_sign(difference, bins, {"velocity": sign}).explained
 
@@ -219,15 +222,15 @@ def over_quantity(group: Sequence[tuple[Record, Compared]], quantity: str, perio
     return GapOverVariable(quantity, shown_values, within_turn, np.concatenate(squares), explained(folded_values))
 
 
-def smallest_region(group: Sequence[tuple[Record, Compared]]) -> tuple[Region | None, float]:
+def smallest_region(records_and_channels: Sequence[tuple[Record, Compared]]) -> tuple[Region | None, float]:
     """Return the interval of any variable with the least data that holds most of the squared residual, and its share.
 
     The residual is that of the calibrated model; None and zero where no interval is narrow enough.
     """
-    best: tuple[float, Region, float] | None = None
-    for variable in variables(group):
+    best_region: tuple[float, Region, float] | None = None
+    for variable in variables(records_and_channels):
         values, squares = [], []
-        for record, channel in group:
+        for record, channel in records_and_channels:
             series = variable_of(record, channel, variable)
             if series is not None:
                 values.append(series)
@@ -238,16 +241,16 @@ def smallest_region(group: Sequence[tuple[Record, Compared]]) -> tuple[Region | 
         if interval is None:
             continue
         low, high, share, data_share = interval
-        if data_share < MOST_REGION_DATA and (best is None or data_share < best[0]):
+        if data_share < MOST_REGION_DATA and (best_region is None or data_share < best_region[0]):
             units = OTHER_UNITS.get(variable, UNITS.get(variable, ""))
-            best = (data_share, Region(variable, low, high, units), share)
-    return (None, 0.0) if best is None else (best[1], best[2])
+            best_region = (data_share, Region(variable, low, high, units), share)
+    return (None, 0.0) if best_region is None else (best_region[1], best_region[2])
 
 
-def variables(group: Sequence[tuple[Record, Compared]]) -> list[str]:
+def variables(records_and_channels: Sequence[tuple[Record, Compared]]) -> list[str]:
     """Return the variables that a region may be given in for these runs."""
     names = ["time"]
-    for record, _ in group:
+    for record, _ in records_and_channels:
         for clock in (record.fast, record.slow):
             if clock is not None:
                 names += [quantity for quantity, role in clock.values if role == "test" and quantity not in names]
@@ -296,18 +299,18 @@ def narrowest_interval(values: Array, squares: Array) -> tuple[float, float, flo
     cumulative = np.concatenate([[0.0], np.cumsum(squares[order])])
     if cumulative[-1] <= 0.0 or ordered[0] == ordered[-1]:
         return None
-    cuts = np.linspace(0, len(order), REGION_BINS + 1).astype(np.intp)[:-1]
+    cut_positions = np.linspace(0, len(order), REGION_BINS + 1).astype(np.intp)[:-1]
     # a cut within a level, such as one direction, moves to the beginning of the level
-    edges = np.append(np.unique(np.searchsorted(ordered, ordered[cuts])), len(order))
-    best: tuple[int, int] | None = None
+    edges = np.append(np.unique(np.searchsorted(ordered, ordered[cut_positions])), len(order))
+    best_slice: tuple[int, int] | None = None
     for begin in range(len(edges) - 1):
         for end in range(begin + 1, len(edges)):
             if cumulative[edges[end]] - cumulative[edges[begin]] >= REGION_SHARE * cumulative[-1]:
-                if best is None or edges[end] - edges[begin] < best[1] - best[0]:
-                    best = (int(edges[begin]), int(edges[end]))
+                if best_slice is None or edges[end] - edges[begin] < best_slice[1] - best_slice[0]:
+                    best_slice = (int(edges[begin]), int(edges[end]))
                 break
-    if best is None:
+    if best_slice is None:
         return None
-    start, stop = best
+    start, stop = best_slice
     share = float((cumulative[stop] - cumulative[start]) / cumulative[-1])
     return float(ordered[start]), float(ordered[stop - 1]), share, (stop - start) / len(order)

@@ -182,13 +182,13 @@ def apply(
                     bounded_fit=bounded_fit, borne_out_by_equations=borne_out_by_equations,
                 )  # fmt: skip
                 trials_without_stage = [(stage, apply_again(stages=all_but(stages, stage))) for stage in accepted]
-                dropped_stage, nearest = min(
+                dropped_stage, nearest_applied = min(
                     trials_without_stage, key=lambda pair: squares(pair[1].shrunk, "augmented_rms", LEAST_GAP_FLOORS)
                 )
                 return replace(
-                    nearest,
-                    notes=(*nearest.notes, notes[-1], refusal_note(dropped_stage, GAP_GROWS)),
-                    refused=(*nearest.refused, *(Near(cause.effect, GAP_GROWS) for cause in dropped_stage)),
+                    nearest_applied,
+                    notes=(*nearest_applied.notes, notes[-1], refusal_note(dropped_stage, GAP_GROWS)),
+                    refused=(*nearest_applied.refused, *(Near(cause.effect, GAP_GROWS) for cause in dropped_stage)),
                 )
         return Applied(calibrated, augmented, fitted, shrunk, first_calibration_withdrawn, tuple(notes), refused)
     parameters_at_bound = names_at_bound(calibration_alone) if bounded_fit else []
