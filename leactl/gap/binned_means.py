@@ -20,7 +20,7 @@ View = TypeVar("View")
 ORDER_PARAMETER = "order"  # name of the parameter that says how often an effect repeats in a turn
 MOST_BINS = 24  # bins that a drawing can show
 FEWEST_BINS = 12  # bins that show a wave
-FEWEST_IN_BIN = 8  # samples of a bin; a bin with fewer has no mean
+FEWEST_BIN_SAMPLES = 8  # samples of a bin; a bin with fewer has no mean
 LEAST_FOLLOWED_SHARE = 0.5  # share of an effect's part that a variable must explain for the effect to follow it
 DRAWN_POWER_SHARE = 0.99  # share of an effect's power in the range that the bins span, before the range is widened
 MEAN_CONFIDENCE = 0.95  # two-sided confidence of a bin's mean
@@ -49,7 +49,7 @@ class Means:
 
 
 @dataclass(frozen=True)
-class Along:
+class FollowedSign:
     """Sign that a residual is multiplied by, and the share of an effect's part that then follows the variable."""
 
     name: str  # variable whose sign it is; empty for no sign
@@ -86,7 +86,7 @@ def bin_edges(values: Array, effect_part: Array, count: int) -> Array:
     wanted_cuts = np.searchsorted(cumulative_weight, np.arange(1, count) / count * cumulative_weight[-1])
     cuts = [0]
     for cut in wanted_cuts.tolist():
-        if cut - cuts[-1] >= FEWEST_IN_BIN and len(drawn_values) - cut >= FEWEST_IN_BIN:
+        if cut - cuts[-1] >= FEWEST_BIN_SAMPLES and len(drawn_values) - cut >= FEWEST_BIN_SAMPLES:
             cuts.append(cut)
     return np.unique(np.concatenate([drawn_values[cuts], drawn_values[-1:]]))
 
@@ -104,18 +104,18 @@ def explained_share(effect_part: Array, bins: Groups) -> float:
     counts = np.bincount(bins[is_inside])
     sums = np.bincount(bins[is_inside], weights=effect_part[is_inside])
     total = float(np.sum(effect_part**2))
-    has_enough = counts >= FEWEST_IN_BIN
+    has_enough = counts >= FEWEST_BIN_SAMPLES
     return float(np.sum(sums[has_enough] ** 2 / counts[has_enough])) / total if total > 0.0 else 0.0
 
 
-def best_sign(effect_part: Array, bins: Groups, signs: Mapping[str, Array]) -> Along:
+def best_sign(effect_part: Array, bins: Groups, signs: Mapping[str, Array]) -> FollowedSign:
     """Return the sign along which an effect's part follows a variable best; no sign where that does nearly as well.
 
     effect_part : part of the residual that the effect explains, by row.
     signs : by variable, the sign of each row.
     """
-    trials = [Along("", explained_share(effect_part, bins))]
-    trials += [Along(name, explained_share(effect_part * sign, bins)) for name, sign in signs.items()]
+    trials = [FollowedSign("", explained_share(effect_part, bins))]
+    trials += [FollowedSign(name, explained_share(effect_part * sign, bins)) for name, sign in signs.items()]
     best_share = max(trial.explained for trial in trials)
     return next(trial for trial in trials if trial.explained >= EQUAL_SHARE * best_share)
 
@@ -130,7 +130,7 @@ def means(values: Array, bin_of_row: Groups, groups: Groups, bins: int) -> Means
     for index in range(bins):
         is_inside = bin_of_row == index
         count = int(is_inside.sum())
-        if count < FEWEST_IN_BIN:
+        if count < FEWEST_BIN_SAMPLES:
             continue
         mean[index] = float(values[is_inside].mean())
         _, group_index = np.unique(groups[is_inside], return_inverse=True)

@@ -58,7 +58,9 @@ from leactl.gap.verdict.withdrawal import Applied, FittedEffects, Refit, apply, 
 from leactl.model.nominal import BenchModel, Model, read_model
 from leactl.vocabulary.effect import effect_definition
 
-MOST_UNEXPLAINED_SHARE = 0.2  # residual beyond noise over the squares that a set explains; beyond it no effect is named
+MOST_UNEXPLAINED_SHARE = (
+    0.2  # residual beyond noise over the squares that a set explains, above which no effect is named
+)
 LEAST_CALIBRATION_GAIN = 25.0  # weighted squares that calibration must gain for the verdict `calibration`
 COURSE_POINTS = 64  # points of a voltage course
 SAME_COURSE_COSINE = 0.95  # cosine of two voltage courses above which they are the same; a ramp and a step have 0.87

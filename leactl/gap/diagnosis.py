@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 FORMAT, VERSION = "leactl-gap", 1
 LEAST_GAP_FLOORS = 1.1  # floors; a smaller distance counts as no gap
-MOST_REPLAY_MISS = 6.0  # floors, largest residual of a replay of the right model
+MOST_REPLAY_MISS = 6.0  # floors, largest distance of a replay by the right model
 Verdict = Literal["none", "calibration", "effect", "unknown"]
 Presence = Literal["alike", "differs", "absent", "not asked"]  # of a simulator's effect in the real runs
 

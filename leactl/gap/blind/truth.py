@@ -19,7 +19,7 @@ from leactl.gap.diagnose import Case, model_with, read_case
 from leactl.gap.replay.comparison import Compared
 from leactl.gap.search.angle_periodogram import strongest_orders
 from leactl.gap.search.effect_regression import ORDERS_TRIED, Evidence, forms_at_scales
-from leactl.gap.search.effect_sets import MOST_SIZE_RATIO, best_of_each, member, refine
+from leactl.gap.search.effect_sets import MOST_SIZE_RATIO, best_of_each, fit_member, refine
 from leactl.gap.search.parameters import calibrated_parameters, with_calibration, with_effects
 from leactl.gap.search.regression import Candidate
 from leactl.gap.signals.record import Record
@@ -148,7 +148,7 @@ def true_set(evidence: Evidence, effects: Sequence[str]) -> list[Candidate]:
     hypothesis = refine(evidence, hypothesis)
     evidence.settle(hypothesis)
     normal = evidence.normal()
-    members = [member(evidence, normal, hypothesis, index) for index in range(len(hypothesis))]
+    members = [fit_member(evidence, normal, hypothesis, index) for index in range(len(hypothesis))]
     # a form that decays before the slowest row has a column of almost zero, whose coefficient is arbitrary
     return [item.candidate for item in members if item is not None and item.size <= largest_size(item.effect)]
 

@@ -23,7 +23,7 @@ MECHANICAL_EQUATIONS = (
     twist.shaft_twist,
     twist.lock_angle,
 )
-FREE_ROTOR = ("free_torque", "reversal_torque")
+FREE_ROTOR = ("free_torque", "reversal_torque")  # balances of the bench's rotor, which the balance of an axis replaces
 DECIMATION_FACTORS = (2, 4, 8, 16)  # factors by which a log's rate is divided where its encoder is coarse
 
 

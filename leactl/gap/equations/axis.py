@@ -12,7 +12,7 @@ from leactl.gap.signals.smoothing import noise_of_acceleration, slope, smooth
 from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
-SMOOTHING_WIDTHS = (4.0, 8.0, 12.0)  # samples, tried in this order
+SMOOTHING_WIDTHS = (4.0, 8.0, 12.0)  # samples, widths of the smoothing of a fed motor that are tried in this order
 MOST_INERTIAL_NOISE = 2e-3  # root mean square of the inertial torque's noise over that of the voltage's torque
 ZERO_PRIOR = 0.1  # rad, prior error of the angle at which a pendulum hangs straight down
 TIMING_SAMPLES = 2.0  # samples, prior error of a reference's time: reference and feedback both pass the servo's bus

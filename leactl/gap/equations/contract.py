@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Place = Callable[[Array], Array]
 
-FEWEST_ROWS = 20  # fewest rows of an equation that a run needs
+FEWEST_ROWS = 20  # rows of an equation that a run needs
 MEMORY_ROWS = 60  # rows over which residuals of an equation may be correlated, unless the equation says otherwise
 LEAST_TOUCHED_SHARE = 1e-3  # share of a row's smoothing weight on some samples from which it depends on them
 STAMP_TOLERANCE = 0.05  # intervals, prior standard deviation of the time between two channels of one sample

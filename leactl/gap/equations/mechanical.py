@@ -364,7 +364,7 @@ def rotor_torques(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]
     constant, interval = model.torque_constant, s.interval
 
     def angle_error(column: Array) -> Array:
-        """Return the resisting torque [N*m] that an error of the angle [rad] feigns."""
+        """Return the resisting torque [N*m] that an error of the angle [rad] seems to add."""
         speed = slope(smooth(column), interval)
         return -(inertia * slope(speed, interval) + damping * speed)
 

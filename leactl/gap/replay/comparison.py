@@ -15,10 +15,10 @@ from leactl.gap.signals.smoothing import smooth, speeds
 
 Array = npt.NDArray[np.float64]
 BLOCK_S = 1.0  # s, block of the fast clock; resampling draws whole blocks
-FEWEST_BLOCKS = 20  # blocks of a slow clock: its blocks are longer, since its errors last
+FEWEST_BLOCKS = 20  # number of blocks of a slow clock whose run is long: its blocks are longer, since its errors last
 NOISE_LAG = 4  # samples between the values whose differences give the noise
 NOISE_STRETCH = 500  # samples of one noise estimate
-RELATIVE_RESOLUTION = float(np.finfo(np.float32).eps)  # of a channel's largest value; smaller noise counts as none
+RELATIVE_RESOLUTION = float(np.finfo(np.float32).eps)  # share of a channel's largest value; smaller noise is none
 
 
 @dataclass(frozen=True, eq=False)

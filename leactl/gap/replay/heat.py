@@ -21,7 +21,7 @@ START_SHARE = 0.3  # share of a winding's time constant from whose readings the 
 MOST_START_SAMPLES = 20  # largest number of these readings
 FED_WIDTH = 8.0  # samples, smoothing of the temperatures that give the share of the fed phases
 NODES_FROM_START = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])  # a further body begins as the housing
-FURTHER_BODY = np.array([0.0, 0.0, 1.0])
+FURTHER_BODY = np.array([0.0, 0.0, 1.0])  # a temperature of the further body alone, by node
 NO_BODY_RESISTANCE = 1e9  # K/W, resistance to a body that does not exist
 
 

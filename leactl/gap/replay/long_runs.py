@@ -36,11 +36,11 @@ from leactl.runfile.verify.integrity import refuse_altered
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-MOST_ROWS = 3 << 17  # rows of all runs of a case together
-MOST_SLOW_ROWS = 1 << 14  # rows of the temperatures of a run, which change slowly
-MOST_STRETCHES = 16  # stretches of a run
+MOST_ROWS = 3 << 17  # largest number of rows of all runs of a case together
+MOST_SLOW_ROWS = 1 << 14  # largest number of rows of a run's temperatures, which change slowly
+MOST_STRETCHES = 16  # largest number of stretches of a run
 FEWEST_STRETCH_ROWS = 1 << 9  # rows of a stretch; a small share gives fewer stretches
-MOST_CANDIDATES = 1 << 10  # candidate stretches of a run to choose among
+MOST_CANDIDATES = 1 << 10  # largest number of candidate stretches of a run to choose among
 STEPS_PER_ROW = 8  # steps of a replay in a sample above which the sample counts for more than a row
 MOST_UNBROKEN_RATIO = 2.0  # duration of a stretch over the median duration, above which the stretch holds a pause
 TEMPERATURE_MARGIN = 64  # samples of temperature on either side of a stretch, for smoothing

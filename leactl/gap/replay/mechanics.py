@@ -29,10 +29,12 @@ from leactl.gap.replay.initial_state import starting_motion
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.lanes import LaneMotion, LaneState, step_lanes
 
-MOST_INTERVAL_RATIO = 0.5  # interval between samples over the time constant of drag; beyond it a start is not measured
-MOST_PASSES = 128  # passes of locked rotors; a rotor that never slides keeps its first guess in later stretches
-TRACKED_PASSES = 3  # passes after which a tracked rotor's start has no influence
-MOST_MISMATCH = 3e-4  # difference of a stretch's start from the previous end, as a share of the largest drive torque
+MOST_INTERVAL_RATIO = 0.5  # interval between samples over the time constant of drag, above which no start is measured
+MOST_LOCKED_PASSES = 128  # passes of locked rotors; a rotor that never slides keeps its first guess in later stretches
+TRACKED_PASSES = 3  # passes of tracked rotors, after which their starts have no influence
+MOST_MISMATCH_SHARE = (
+    3e-4  # difference of a stretch's start from the previous end, as a share of the largest drive torque
+)
 
 
 def move(jobs: Sequence[Job]) -> None:
@@ -186,7 +188,7 @@ def step_until_settled(cuts: Sequence[CutJob], kind: str) -> None:
     """
     stretches: list[Index] = [np.arange(cut.count) for cut in cuts]
     starts = [locked_start(cut) if kind == "locked" else start_of(cut, kind) for cut in cuts]
-    passes = min(max(cut.count for cut in cuts) + 1, MOST_PASSES) if kind == "locked" else TRACKED_PASSES
+    passes = min(max(cut.count for cut in cuts) + 1, MOST_LOCKED_PASSES) if kind == "locked" else TRACKED_PASSES
     for _ in range(passes):
         motion = step_stretches(
             cuts, stretches, [start.of_lanes(lanes) for start, lanes in zip(starts, stretches, strict=True)]
@@ -218,7 +220,7 @@ def carry_over_ends(cut: CutJob, start: LaneState, following: Index, ends: LaneS
     mismatch = mismatch + np.abs(ends.angle - start.angle[following]) * constants["tracking"]
     mismatch = mismatch + np.abs(ends.velocity - start.velocity[following]) * impedance
     mismatch = mismatch + np.abs(ends.bristle - start.bristle[following]) * constants["friction"]
-    differs = np.asarray(mismatch > MOST_MISMATCH * float(np.max(np.abs(cut.drive), initial=1e-9)))
+    differs = np.asarray(mismatch > MOST_MISMATCH_SHARE * float(np.max(np.abs(cut.drive), initial=1e-9)))
     for name, values in vars(start).items():
         values[following[differs]] = getattr(ends, name)[differs]
     return differs

@@ -9,7 +9,7 @@ from leactl.gap.replay.job import Job
 from leactl.gap.signals.record import INTERPOLATION_REACH, Key, Mask, median_interval, near_stamps
 from leactl.gap.signals.rig import voltage_feed
 
-MOST_LISTED = 5  # stretches of a channel without data that a note lists
+MOST_LISTED_STRETCHES = 5  # stretches of a channel without data that a note lists
 
 
 def unmeasured_samples(job: Job, key: Key) -> Mask:
@@ -74,7 +74,9 @@ def interval_text(job: Job, is_missing: Mask) -> str:
     """Return the time intervals [s] of some samples as text."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], is_missing.astype(np.intp), [0]]))).reshape(-1, 2)
     time = job.clock.time
-    interval_texts = [f"from {time[begin]:.6g} to {time[end - 1]:.6g} s" for begin, end in edges[:MOST_LISTED]]
+    interval_texts = [
+        f"from {time[begin]:.6g} to {time[end - 1]:.6g} s" for begin, end in edges[:MOST_LISTED_STRETCHES]
+    ]
     return ", ".join(interval_texts) + (
-        f" and in {len(edges) - MOST_LISTED} more stretches" if len(edges) > MOST_LISTED else ""
+        f" and in {len(edges) - MOST_LISTED_STRETCHES} more stretches" if len(edges) > MOST_LISTED_STRETCHES else ""
     )

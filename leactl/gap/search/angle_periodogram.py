@@ -18,8 +18,8 @@ from leactl.gap.signals.smoothing import BASE_WIDTH
 Array = npt.NDArray[np.float64]
 TORQUE_EQUATIONS = ("free_torque", "axis_torque", "both_torque", "coupled_torque")
 CREEP_WIDTH = 1.0  # samples, smoothing of a creeping axis
-MOST_CYCLES_PER_SAMPLE = 0.35  # beyond it smoothing removes a column
-FEWEST_PERIODS = 2.0  # periods in a run that distinguish a wave from a bend
+MOST_CYCLES_PER_SAMPLE = 0.35  # cycles of an order in a sample, above which smoothing removes its column
+FEWEST_PERIODS = 2.0  # periods in a run with which a wave differs from a bend
 LEAKAGE_ORDERS = 1  # difference of orders up to which the weaker one is leakage of the stronger one
 
 

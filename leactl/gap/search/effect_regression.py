@@ -67,7 +67,7 @@ TORQUE_SENSOR_EQUATIONS = {"coupled_torque", "locked_torque", "swung_torque"}
 MOST_PRIOR_CHANGE = 1.0  # largest change of an identifiable parameter in fits to sound machines, over its prior
 BIAS_DOUBT_SHARE = 0.2  # share of a bias common to sound machines that remains uncertain once it is corrected
 MOST_CORRECTED_BIAS = 0.3  # relative; with a larger bias the runs hardly show a parameter, and nothing is corrected
-PINNED_PRIOR = 1e-4  # prior of a torque constant that no channel determines
+PINNED_PRIOR = 1e-4  # prior relative change of a parameter that every fit holds at the model's value
 LEAST_ROUNDING_SHARE = 0.5  # share of rounding in a sound machine's noise power above which that noise counts as known
 NEGLIGIBLE_SHARE = 0.05  # share of the smallest size worth knowing below which an effect counts as absent
 LEAST_CORRELATION = 0.02  # the sum over an autocorrelation ends at the first smaller value
@@ -235,7 +235,9 @@ class Evidence:
         )
 
     def white_noise_of(self, rows: Rows) -> float:
-        """Return the noise from row to row, at most a sound machine's where rounding makes most of that.
+        """Return the standard deviation of the noise from row to row.
+
+        Where rounding makes most of a sound machine's noise, it is at most that noise.
 
         A residual that swings within a few rows passes for noise. Only the noise of rounding is known in advance: where
         other noise prevails, the noise of the rows counts.
@@ -248,7 +250,7 @@ class Evidence:
         )
 
     def is_judged(self, rows: Rows) -> bool:
-        """Return whether the residual of some rows can be judged: whether a sound machine's residual there is known."""
+        """Return whether the residual of some rows can be judged, since a sound machine's residual there is known."""
         return not rows.rough and (self.null is None or (rows.equation, rows.kind) in self.null.unrest)
 
     def tells_nothing_of(self, parameter: str) -> bool:
@@ -280,7 +282,7 @@ class Evidence:
 
     @property
     def weights(self) -> list[float]:
-        """Weight of each group of rows: one over its noise variance, for as many rows as are independent."""
+        """Weight of each group of rows: one over its noise variance, less the more rows depend on each other."""
         return [
             1.0 / (rows.noise**2 * max(rows.dependence, len(rows.left_over) / rows.levels)) for rows in self.stack.rows
         ]

@@ -25,24 +25,24 @@ from leactl.gap.search.stamp_fit import delay_of_stamps
 from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]
-MOST_EFFECTS = 3  # effects in a set
+MOST_EFFECTS = 3  # largest number of effects in a set
 ENTRY_HEIGHT = 3.2  # smallest height of an effect that enters a set: its size over its floor and uncertainty
 EQUAL_FIT_DIFFERENCE = 1e-3  # difference of twice a log likelihood below which two fits are equally good
-MOST_EXCHANGES = 4  # rounds of exchanging members
-MOST_MOVES = 4  # moves of a form at each step size
+MOST_EXCHANGE_ROUNDS = 4  # largest number of rounds of exchanging members
+MOST_FORM_MOVES = 4  # largest number of moves of a form at each step size
 STEP_SHARES = (1 / 3, 1 / 9, 1 / 27, 1 / 81)  # step sizes as shares of the grid's ratio, on a logarithmic scale
 SCAN_STEPS = 8  # trials from one value of a narrow effect's grid to the next
-MOST_ASCENTS = 8  # steps along a ridge from the best form of the last grid
-LEAST_FORM_DIFFERENCE = 2.0  # difference in weighted squares below which forms cannot be told apart
+MOST_ASCENT_STEPS = 8  # largest number of Newton steps from the best form of the last grid
+LEAST_FORM_DIFFERENCE = 2.0  # weighted squares; forms whose gains differ by less cannot be told apart
 NOISE_ROUNDS = (2, 0)  # rounds of estimating the noise from a set's residuals; 0 keeps the usual noise
-MOST_SHORTLISTED = 4  # candidates of one ranking that are fitted
+MOST_SHORTLISTED = 4  # largest number of candidates of one ranking, or of rivals of a member, that are fitted
 MOST_USUAL_POWER = 2.0  # largest residual power that counts as usual, in units of the usual noise power
 WHOLE_ROUNDS = 2  # rounds of bringing shaped effects to the form with a strength of one
 WAVE_COEFFICIENTS = ("cos", "sin")  # coefficients that make one amplitude
 OVERTONES = (2.0, 3.0)  # multiples of its order that a machine's wave also contains
 LOOSE_SHARE = 0.8  # share that an effect explains at least (`explains`), below which its columns count as loose
 LOOSE_FORM_ERROR = 0.1  # `FORM_ERROR` for an effect with loose columns
-TIE_SHARE = 1e-6  # share of its gain that the unusual one of two effects with equal columns loses; far above rounding
+TIE_SHARE = 1e-6  # share of its gain that an unusual effect loses against one with equal columns; far above rounding
 RIVAL_FORM_ERROR = 0.005  # standard deviation, as a share of the gain, of the difference of two nearly right forms
 CLOSE_RIVAL_FACTOR = 10.0  # multiple of `gain_tolerance` within which a rival's gain is close
 UNSHOWN_SPRING_ODDS = 0.05  # prior odds, against an effect of constant direction, of a spring whose rest no run passes
@@ -443,7 +443,7 @@ def sum_where_acting(evidence: Evidence, candidate: Candidate, amounts: Sequence
 
 def exchange(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
     """Return a set with each member replaced by the best effect beside the other members, until no effect changes."""
-    for _ in range(MOST_EXCHANGES):
+    for _ in range(MOST_EXCHANGE_ROUNDS):
         evidence.settle(hypothesis)
         normal, changed = evidence.normal(), False
         for index in range(len(hypothesis)):
@@ -582,7 +582,7 @@ def nearest_summit(evidence: Evidence, others: list[Candidate], candidate: Candi
     downwards in every direction, or where a step gains nothing.
     """
     name, form = candidate
-    for _ in range(MOST_ASCENTS):
+    for _ in range(MOST_ASCENT_STEPS):
         shape = local_shape(evidence, others, (name, form), ratios)
         if shape is None or np.linalg.eigvalsh(shape.curvature)[0] <= 0.0:
             break
@@ -662,7 +662,7 @@ def refined_form(evidence: Evidence, others: list[Candidate], name: str, form: F
     # moves would lead to a fraction of a longer delay
     strength_is_form = strength_determines_form(name, form)
     for step_share in STEP_SHARES[:2] if strength_is_form else STEP_SHARES:
-        for _ in range(1 if strength_is_form else MOST_MOVES):
+        for _ in range(1 if strength_is_form else MOST_FORM_MOVES):
             steps = product(
                 *((ratio**-step_share, 1.0, ratio**step_share) if ratio > 1.0 else (1.0,) for ratio in ratios)
             )
@@ -682,7 +682,7 @@ def prune(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
     while hypothesis:
         evidence.settle(hypothesis)
         normal = evidence.normal()
-        members = [member(evidence, normal, hypothesis, k) for k in range(len(hypothesis))]
+        members = [fit_member(evidence, normal, hypothesis, k) for k in range(len(hypothesis))]
         heights = [further.height if further is not None else 0.0 for further in members]
         lowest_first = [int(k) for k in np.argsort(heights, kind="stable")]
         if heights[lowest_first[0]] <= ENTRY_HEIGHT:
@@ -701,14 +701,17 @@ def is_supported(evidence: Evidence, hypothesis: Sequence[Candidate], index: int
     return any(CandidateTest(evidence, others, n).exceeds_form_error(hypothesis[index]) for n in NOISE_ROUNDS)
 
 
-def member(evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], index: int) -> FurtherEffect | None:
+def fit_member(evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], index: int) -> FurtherEffect | None:
     """Return one member of a set, fitted in addition to the other members."""
     others = [*hypothesis[:index], *hypothesis[index + 1 :]]
     return fit_further_effect(evidence, normal, evidence.stack.columns_of(others), hypothesis[index])
 
 
 def describe(evidence: Evidence, hypothesis: list[Candidate]) -> EffectSet:
-    """Return a set with its members, their rivals and the further effects, under the weights of the set."""
+    """Return a set with its members, their rivals and the further effects, under the weights of the set.
+
+    A member that at full strength is no possible effect is removed.
+    """
     hypothesis = make_whole(evidence, hypothesis)
     squares_taken, squares_left = squares_taken_and_left(evidence, hypothesis)
     fit = evidence.settle(hypothesis)

@@ -18,10 +18,10 @@ from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import Variable
 
 Array = npt.NDArray[np.float64]
-KNOTS = 8  # knots of a free function
-FEWEST_VALUES = 4  # a variable with fewer values, such as a direction, shows nothing of a law's form
+KNOTS = 8  # largest number of knots of a free function
+FEWEST_VALUES = 4  # distinct values of a variable; one with fewer, as a direction, shows nothing of a law's form
 LEAST_PART_SHARE = 1e-3  # share of a member's largest part in a run below which a row does not place knots
-TURN = 2.0 * np.pi
+TURN = 2.0 * np.pi  # rad
 # ratio of what an effect explains to what free forms explain, each beside the other, above which it outdoes them
 OUTDOING_RATIO = 2.0
 
@@ -82,7 +82,7 @@ def with_effects_alone(rows: Rows, hypothesis: Sequence[Candidate]) -> Rows:
 
 
 def explained_part(rows: Rows, normal: Normal, fit: Fit, member: Candidate) -> Array:
-    """Return the part of some rows that a member explains under a fit."""
+    """Return the part of some rows' left-over that a member explains under a fit."""
     explained = np.zeros(len(rows.left_over))
     for column, value in zip(fit.columns, fit.values, strict=True):
         name = normal.stack.names[column]
@@ -142,7 +142,7 @@ def add_free_form(
 
 
 def acts_in(part: Array) -> npt.NDArray[np.bool_]:
-    """Return the rows in which a member's part is not negligible."""
+    """Return the mask of the rows in which a member's part is not negligible."""
     return np.asarray(np.abs(part) > LEAST_PART_SHARE * np.abs(part).max(), np.bool_)
 
 

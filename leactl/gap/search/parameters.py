@@ -36,7 +36,7 @@ MODEL_ERROR = {
     "thermal.housing_capacitance": 8e-4,
 }
 """Relative error of a parameter from the discretised equations, in addition to noise."""
-LEAST_RATIO = 0.05  # of fitted to nominal value; its reciprocal is the largest ratio of a reciprocal parameter
+LEAST_FITTED_RATIO = 0.05  # ratio of fitted to nominal value; its reciprocal is the largest of a reciprocal parameter
 LEAST_MODEL_ERROR = 5e-5  # relative error of a parameter that `MODEL_ERROR` does not name
 UNSHOWN_STEP = 0.01  # step of the derivative along a change that no run shows: its variance gives no step
 UNITS = {
@@ -113,7 +113,9 @@ def calibrated_parameters(evidence: Evidence, fit: Fit) -> tuple[CalibratedParam
 def factor_of(parameter: str, change: float) -> float:
     """Return the factor on a parameter for a fitted change, by which the reciprocal of a reciprocal parameter falls."""
     return (
-        1.0 / max(1.0 - change, LEAST_RATIO) if parameter in RECIPROCAL_PARAMETERS else max(1.0 + change, LEAST_RATIO)
+        1.0 / max(1.0 - change, LEAST_FITTED_RATIO)
+        if parameter in RECIPROCAL_PARAMETERS
+        else max(1.0 + change, LEAST_FITTED_RATIO)
     )
 
 
@@ -141,7 +143,7 @@ def is_at_bound(item: CalibratedParameter) -> bool:
     if item.parameter in ("feedforward.kS", "feedforward.kA") or not item.nominal:
         return False
     factor = item.fitted / item.nominal
-    return not LEAST_RATIO * (1.0 + 1e-9) < factor < (1.0 - 1e-9) / LEAST_RATIO
+    return not LEAST_FITTED_RATIO * (1.0 + 1e-9) < factor < (1.0 - 1e-9) / LEAST_FITTED_RATIO
 
 
 def nominal_value(model: Model, parameter: str) -> float | None:
@@ -238,7 +240,7 @@ def effect_parameters(evidence: Evidence, fit: Fit, candidate: Candidate) -> tup
     if covariance_of_logs is not None:
         form_covariance = widening * covariance_of_logs
         # a standard error of this size, a factor of 20, means that no run shows the number
-        undetermined = np.diag(form_covariance) > math.log(LEAST_RATIO) ** 2
+        undetermined = np.diag(form_covariance) > math.log(LEAST_FITTED_RATIO) ** 2
         form_covariance[undetermined, undetermined] = math.inf
         form_variances = propagated_variances(parameters, with_logs, form_covariance)
         variances = {key: variances[key] + form_variances[key] for key in parameters}

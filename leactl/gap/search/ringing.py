@@ -17,10 +17,10 @@ from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.regression import Fit, Rows, residuals
 
 Array = npt.NDArray[np.float64]
-SEGMENT = 64  # rows of one spectrum
+SEGMENT = 64  # rows of a segment, of which a spectrum is taken
 LEAST_VALID_SHARE = 0.6  # smallest share of a segment's rows that are valid
 NEIGHBOUR_BINS = 5  # bins on either side that a bin is compared with, without the adjacent one
-LOWEST_BIN = 4  # below it a bin lacks neighbours on one side; `unrest` judges slow residuals
+LOWEST_BIN = 4  # lowest bin with neighbours on both sides; `unrest` judges slower residuals
 MOST_STEADY_VARIATION = 0.05  # largest relative variation of a steady speed
 FEWEST_SEGMENTS = 8  # segments of a channel; with fewer it has no line
 CHANCE_STDS = 3.0  # standard deviations of a mean spectrum that chance may add

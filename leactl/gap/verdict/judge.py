@@ -20,7 +20,7 @@ from leactl.gap.search.ringing import Line
 from leactl.gap.signals.record import Record
 
 EXACT_FORM_ERROR = 0.0005  # `RIVAL_FORM_ERROR` of two pure lags, whose forms are nearly exact
-MOST_PROBABILITY = 0.998  # of an effect of any height
+MOST_PROBABILITY = 0.998  # largest probability that an effect of any height is present
 EVEN_HEIGHT = 3.8  # height of an effect that is as likely present as not
 HEIGHT_SLOPE = 2.5  # e-folds of the odds for each unit of height
 CLASS_WEIGHT = 0.2  # share of the winner's weight above which a rival is named together with it

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from leactl.gap.binned_means import (
     DRAWN_POWER_SHARE,
     LEAST_FOLLOWED_SHARE,
-    Along,
+    FollowedSign,
     best_sign,
     bin_count,
     bin_edges,
@@ -47,7 +47,7 @@ MOST_MEANS_LEFT = 0.4  # share of the root mean square of the bin means that may
 MOST_STILL_VALUE = 1e-3  # share of a variable's largest value up to which it has no sign
 SIGN_VARIABLES: tuple[Variable, ...] = ("velocity", "q_axis_current", "torque_rate")
 """Variables whose sign a residual may be multiplied by: a residual that reverses with them would cancel in a bin."""
-EPSILON = float(np.finfo(np.float64).eps)
+EPSILON = float(np.finfo(np.float64).eps)  # relative precision of a channel's numbers
 LEAST_SQUARABLE = 1e-150  # about the smallest number whose square does not underflow
 
 
@@ -89,7 +89,7 @@ class View:
     periods: float | None  # parts of a turn that an angle is folded by; None where it is not folded
     edges: Array  # edges of the bins
     bin_of_row: Groups  # -1 for a row outside the bins
-    along: Along  # sign that the residuals are multiplied by
+    along: FollowedSign  # sign that the residuals are multiplied by
 
 
 def draw_pictures(
@@ -362,7 +362,7 @@ def view_of(acting: ActingResiduals, variables: Sequence[Variable], periods: flo
     return first_that_follows(views, lambda view: view.along.explained)
 
 
-def bins_over(acting: ActingResiduals, values: Array) -> tuple[Array, Groups, Along]:
+def bins_over(acting: ActingResiduals, values: Array) -> tuple[Array, Groups, FollowedSign]:
     """Return the edges of bins over a variable, the bin of each row, and the sign that the effect follows."""
     edges = bin_edges(values, acting.effect, bin_count(acting.independent_rows))
     bins = bin_of(values, edges)

@@ -21,7 +21,7 @@ from leactl.quantities import UNITS
 
 Array = npt.NDArray[np.float64]
 LEAST_LOG_GAP = math.log(LEAST_GAP_FLOORS)
-EQUAL_SQUARES_RATIO = 1.001  # ratio of squared gaps of a channel up to which two models follow it equally well
+EQUAL_SQUARES_RATIO = 1.001  # ratio of a channel's squared gaps up to which two models follow it equally well
 FEWEST_BLOCKS = 8  # blocks of a channel; with fewer, resampling does not determine the ends of an interval
 TRACE_POINTS = 1500  # largest number of points of a drawn trace
 SLOW_SAMPLING_S = 0.05  # s between samples from which a thinned-out trace shows the whole run; a faster one would alias

@@ -18,7 +18,7 @@ from leactl.vocabulary.variable import Variable
 Array = npt.NDArray[np.float64]
 Groups = npt.NDArray[np.intp]
 Key = tuple[Variable, ...]
-STATE: tuple[Key, ...] = (
+STATE_VARIABLES: tuple[Key, ...] = (
     ("angle",),
     ("velocity",),
     ("q_axis_current",),
@@ -31,11 +31,11 @@ STATE: tuple[Key, ...] = (
     ("velocity", "q_axis_current"),
     ("angle", "q_axis_current"),
 )
-"""Variables that a function may depend on, simple ones first."""
+"""Variables and pairs of variables that a function may depend on, single ones first."""
 KNOTS, PAIR_KNOTS = 10, 6  # number of knots of a function of one variable, and of each variable of a pair
 FOLDS = 5  # number of folds of the cross-validation
 RIDGES = (1e-4, 1e-3, 1e-2, 0.1)  # ridge penalties tried, relative to a column's power
-LEAST_GAIN = 0.02  # share of the gap that a further variable closes in cross-validation
+LEAST_GAIN_SHARE = 0.02  # share of the gap that a further variable closes in cross-validation
 LEAST_CERTAINTY = 0.975  # one-sided probability from which a gain on other runs is no chance
 
 
@@ -84,7 +84,7 @@ def waves(angle: Array, orders: Array) -> Array:
 def bases(sample: Sample, orders: Sequence[float]) -> list[Basis]:
     """Return every basis that the state of some runs allows; a constant variable has none."""
     allowed_bases = []
-    for key in STATE:
+    for key in STATE_VARIABLES:
         if any(name not in sample.state for name in key):
             continue
         knot_count = KNOTS if len(key) == 1 else PAIR_KNOTS
@@ -199,7 +199,7 @@ def learn(sample: Sample, orders: Sequence[float], gap: float) -> tuple[Trial, l
     """Return the trial of every basis, the chosen bases and the ridge.
 
     The ridge is that with the least residual in cross-validation. Bases are added one by one while the best further one
-    closes `LEAST_GAIN` of the gap there.
+    closes `LEAST_GAIN_SHARE` of the gap there.
 
     gap : squares of the residual beyond noise.
     """
@@ -212,7 +212,7 @@ def learn(sample: Sample, orders: Sequence[float], gap: float) -> tuple[Trial, l
     while len(chosen) < len(keys):
         squares_with_key = {key: trial.squares_by_fold([*chosen, key], ridge) for key in keys if key not in chosen}
         best = min(squares_with_key, key=lambda key: float(squares_with_key[key].sum()))
-        if float((squares - squares_with_key[best]).sum()) < LEAST_GAIN * gap:
+        if float((squares - squares_with_key[best]).sum()) < LEAST_GAIN_SHARE * gap:
             break
         chosen, squares = [*chosen, best], squares_with_key[best]
     return trial, chosen, ridge

@@ -38,13 +38,13 @@ from leactl.vocabulary.effect import effect_definition
 from leactl.vocabulary.variable import Variable
 
 Array = npt.NDArray[np.float64]
-STRETCHES = 24  # stretches of a run
+STRETCHES = 24  # stretches into which a run is cut
 FEWEST_ROWS_IN_STRETCH = 4  # mean number of rows of a stretch; a run with fewer is left out
 LOW_ORDERS, STRONG_ORDERS = 6, 4  # numbers of orders over the angle: of the lowest, and of the strongest
 HIGHEST_ORDER = 250  # highest order over the angle that is tried
-LEAST_CLOSED_SHARE = 0.05  # closed share of the gap below which no dependence is reported
+LEAST_CLOSED_SHARE = 0.05  # share of the gap that a function closes, below which no dependence is reported
 LEAST_NEAR_HEIGHT = 1.0  # size over uncertainty and floor above which an effect is listed as near
-MOST_NEAREST = 4  # nearest effects that are listed
+MOST_NEAREST_EFFECTS = 4  # largest number of nearest effects that are listed
 LEAST_SLOW_SHARE = 0.2  # share of the gap that neighbouring stretches or one sine explain if it depends on time
 
 
@@ -108,7 +108,7 @@ def describe(
     effects_on_channel = {
         name[1] for index in fitted_rows for name in evidence.stack.rows[index].columns if name[0] == "effect"
     }
-    nearest_on_channel = tuple(item for item in nearest if item.effect in effects_on_channel)[:MOST_NEAREST]
+    nearest_on_channel = tuple(item for item in nearest if item.effect in effects_on_channel)[:MOST_NEAREST_EFFECTS]
     pictures = [
         shape_picture(rows, held_out_sample, free_function, name) for name in variables if name in held_out_sample.state
     ]

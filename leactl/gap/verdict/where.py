@@ -32,9 +32,9 @@ REGION_BINS = 12  # number of bins at whose edges a region may begin and end
 MOST_REGION_DATA = 0.75  # share of the samples; `smallest_region` returns no larger region
 # units of variables that are no quantity of a channel
 OTHER_UNITS = {"direction": "1", "frequency": "Hz", "time": "s", "time_since_reversal": "s"}
-MOST_PROFILES = 5  # number of first entries that get a profile
+MOST_PROFILES = 5  # largest number of entries that get a profile
 PROFILE_BINS = 24  # bins of a profile
-FEWEST_IN_BIN = 8  # samples of a bin that is drawn
+FEWEST_BIN_SAMPLES = 8  # samples of a bin that is drawn
 OMITTED_SHARE = 0.002  # share of the data at either end that a profile leaves out
 
 
@@ -120,7 +120,7 @@ def bin_statistics(values: Array, residuals: Array) -> tuple[Array, Array, Array
         edges = np.linspace(lowest, highest, PROFILE_BINS + 1)
         low, high = edges[:-1], edges[1:]
     masks = [(values >= a) & (values <= b) for a, b in zip(low, high, strict=True)]
-    has_enough = np.asarray([int(mask.sum()) >= FEWEST_IN_BIN for mask in masks])
+    has_enough = np.asarray([int(mask.sum()) >= FEWEST_BIN_SAMPLES for mask in masks])
     residuals_of_bins = [residuals[:, mask] for mask, is_drawn in zip(masks, has_enough, strict=True) if is_drawn]
     shape = (len(residuals_of_bins), len(residuals))  # of an array that keeps a row for each model even without any bin
     mean = np.asarray([residuals_of_bin.mean(axis=1) for residuals_of_bin in residuals_of_bins]).reshape(shape).T
