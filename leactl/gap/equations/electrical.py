@@ -23,7 +23,10 @@ RECOVERY_WIDTH = 8.0  # samples, Gaussian margin around the voltage ceiling in w
 
 
 def voltage(record: Record, s: Signals) -> Equation | None:
-    """Return the equation of the q-axis voltage, u = R(T) i + L di/dt + K w; None without its channels."""
+    """Return the equation of the q-axis voltage, u = R(T) i + L di/dt + K w.
+
+    None where a channel or the resistance is missing.
+    """
     model = s.model
     if s.voltage is None or s.current is None or model.phase_resistance is None or record.fast is None:
         return None

@@ -19,7 +19,7 @@ RECOVERY_SAMPLES = 12  # samples on either side of the voltage ceiling in which 
 
 
 def compute_current(job: Job) -> None:
-    """Write the current of the whole run into the job; it does not depend on the motion, so it never restarts."""
+    """Write the current of the whole run, if it has one, into the job; it depends on no motion and never restarts."""
     clock, plant = job.clock, job.plant
     bandwidth = plant.model.bench.current_loop_bandwidth
     if clock.get("q_axis_current_reference") is not None:

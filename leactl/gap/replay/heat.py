@@ -114,7 +114,7 @@ class Network:
         return np.asarray(smooth(fed_ratio, FED_WIDTH) / smooth(winding_ratio, FED_WIDTH), np.float64)
 
     def _speed(self) -> Array:
-        """Return the measured speed [rad/s], root mean square over the interval that begins at each sample."""
+        """Return the measured speed [rad/s], root mean square over the interval after each sample, else zero."""
         fast = self.job.record.fast
         if "speed_squared" in self.clock.driven:
             return np.sqrt(self.clock.driven["speed_squared"])

@@ -114,7 +114,7 @@ def step_lanes(lanes: Lanes, start: LaneState) -> LaneMotion:
     braking = servo.torque_constant * servo.emf / servo.resistance if servo is not None else np.zeros(count)
     decay, gain = _velocity_response(lanes.damping + lanes.emf_damping + braking, lanes.inertia, h)
     # where a servo is off, no current brakes
-    unbraked_response = _velocity_response(lanes.damping + lanes.emf_damping, lanes.inertia, h)
+    unbraked_decay, unbraked_gain = _velocity_response(lanes.damping + lanes.emf_damping, lanes.inertia, h)
     load_decay, load_gain = _velocity_response(lanes.load_damping, lanes.load_inertia, h)
     stiffness = resonant_stiffness(lanes)
     shaft_damping = 2.0 * lanes.damping_ratio * np.sqrt(stiffness / (1.0 / lanes.inertia + 1.0 / lanes.load_inertia))
@@ -157,8 +157,8 @@ def step_lanes(lanes: Lanes, start: LaneState) -> LaneMotion:
             push += np.where(is_disabled, 0.0, braking * velocity)  # current and decay both contain the back-EMF
             if is_disabled.any():
                 decay_now, gain_now = (
-                    np.where(is_disabled, unbraked_response[0], decay),
-                    np.where(is_disabled, unbraked_response[1], gain),
+                    np.where(is_disabled, unbraked_decay, decay),
+                    np.where(is_disabled, unbraked_gain, gain),
                 )
                 friction_step_now = gain_now * lanes.friction
         motion.torque[index] = torque

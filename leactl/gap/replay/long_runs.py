@@ -268,7 +268,7 @@ def temperatures_around(clock: Clocked, begin_time: float, end_time: float) -> C
 
 
 def row_at(run: Run, stream: str, time: float) -> int:
-    """Return the first row of a stream that is not before a time, by bisection."""
+    """Return the first row of a stream that is not before a time [s], or the number of rows; found by bisection."""
     low, high = 0, run.rows[stream]
     while low < high:
         middle = (low + high) // 2

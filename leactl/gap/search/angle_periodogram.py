@@ -56,7 +56,10 @@ def strongest_orders(stacked: Stack, fit: Fit, weights: Sequence[float], count: 
 
 
 def can_show_waves(rows: Rows, place: str) -> bool:
-    """Return whether rows have an angle, and the current if the effect is a ripple of the torque."""
+    """Return whether rows have an angle, and the current if the effect is a ripple of the torque.
+
+    place : place of the equations that the effect acts in.
+    """
     signals = rows.signals
     return signals.angle is not None and (place != "torque_factor" or signals.current is not None)
 
@@ -70,7 +73,10 @@ def without_order(rows: Rows, residual: Array, order: int) -> Array:
 
 
 def periodogram(rows: Rows, residual: Array, place: str, highest_order: int) -> Array:
-    """Return the squares of a residual that a wave of each order explains, from order 0 to the highest."""
+    """Return the squares of a residual that a wave of each order explains, from order 0 to the highest.
+
+    place : place of the equations that the wave acts in; a ripple of the torque scales with the current.
+    """
     signals = rows.signals
     assert signals.angle is not None and signals.velocity is not None
     angle, speed = signals.angle[rows.index], np.abs(signals.velocity[rows.index])

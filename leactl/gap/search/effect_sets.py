@@ -475,7 +475,7 @@ def refine_member(evidence: Evidence, others: list[Candidate], candidate: Candid
     if not form or effect.periodic or not effect.continuous:
         return candidate
     grids = [grid_values(position, form, evidence.forms.get(name, [])) for position in range(effect.refined)]
-    ratios = [max((b / a for a, b in pairwise(grid)), default=1.0) for grid in grids]
+    ratios = [max((larger / smaller for smaller, larger in pairwise(grid)), default=1.0) for grid in grids]
     if effect.narrow:
         form = best_scanned_form(evidence, others, name, form, ratios[0])
     form = refined_form(evidence, others, name, form, ratios)
@@ -698,7 +698,7 @@ def prune(evidence: Evidence, hypothesis: list[Candidate]) -> list[Candidate]:
 def is_supported(evidence: Evidence, hypothesis: Sequence[Candidate], index: int) -> bool:
     """Return whether a member lowers the misfit by more than form errors of the others could, under either noise."""
     others = [*hypothesis[:index], *hypothesis[index + 1 :]]
-    return any(CandidateTest(evidence, others, n).exceeds_form_error(hypothesis[index]) for n in NOISE_ROUNDS)
+    return any(CandidateTest(evidence, others, rounds).exceeds_form_error(hypothesis[index]) for rounds in NOISE_ROUNDS)
 
 
 def fit_member(evidence: Evidence, normal: Normal, hypothesis: Sequence[Candidate], index: int) -> FurtherEffect | None:

@@ -232,6 +232,7 @@ class Normal:
 
     def __init__(self, stacked: Stack, weights: Sequence[float]) -> None:
         size = len(stacked.names)
+        # products of the columns with each other and with the left-over, and squares of the left-over
         self.stack, self.weights = stacked, list(weights)
         self.gram, self.right, self.total = np.zeros((size, size)), np.zeros(size), 0.0
         for gram, local, weight in zip(stacked.grams, stacked.local, weights, strict=True):

@@ -176,7 +176,7 @@ def draw_pictures_of_replays(
 
 def replayed_residuals(records_and_channels: Sequence[tuple[Record, Compared]]) -> ActingResiduals:
     """Return the residuals of the replays of one channel on several runs, weighted by its noise."""
-    first_channel = records_and_channels[0][1]
+    _, first_channel = records_and_channels[0]
     before, after = (
         np.concatenate([compared.measured - compared.replayed[k] for _, compared in records_and_channels])
         for k in (1, 2)

@@ -211,8 +211,11 @@ def _growth(groups: Sequence[list[Compared]], random: np.random.Generator) -> Gr
     nearer_model = 1 if log_gaps[1] < log_gaps[0] else 0
     model_pairs = ((0, 1), (nearer_model, 2))
     by_calibration, by_effects = (
-        (float(log_gaps[b] - log_gaps[a]), float(np.quantile(resampled[:, b] - resampled[:, a], TAIL_PROBABILITY)))
-        for a, b in model_pairs
+        (
+            float(log_gaps[to_model] - log_gaps[from_model]),
+            float(np.quantile(resampled[:, to_model] - resampled[:, from_model], TAIL_PROBABILITY)),
+        )
+        for from_model, to_model in model_pairs
     )
     return Growth(by_calibration, by_effects, *closes_gap(channels, random))
 

@@ -63,7 +63,7 @@ def describe(
     hypothesis : effects of the augmented model.
     channel : channel whose residual is farthest from a sound machine's.
     held_out : held-out runs.
-    nearest : effects that nearly explain the residual, the nearest first.
+    nearest : effects that nearly explain the residual, as `nearest_effects` returns them.
     """
     held_out_evidence = evidence.on(held_out, hypothesis)
     fit = evidence.settle(hypothesis)
@@ -165,7 +165,7 @@ def squares_beyond_noise(stacked: Stack, indices: Sequence[int], sample: Sample)
 
 
 def orders_of(stacked: Stack, fit: Fit, indices: Sequence[int]) -> list[float]:
-    """Return the orders over the angle for a free function: the first few, and the strongest of a periodogram."""
+    """Return the orders over the angle for a free function: the lowest, and the strongest of a periodogram."""
     power = np.zeros(HIGHEST_ORDER + 1)
     for index in indices:
         rows = stacked.rows[index]

@@ -119,7 +119,7 @@ def bin_statistics(values: Array, residuals: Array) -> tuple[Array, Array, Array
         lowest, highest = np.quantile(values, (OMITTED_SHARE, 1.0 - OMITTED_SHARE))
         edges = np.linspace(lowest, highest, PROFILE_BINS + 1)
         low, high = edges[:-1], edges[1:]
-    masks = [(values >= a) & (values <= b) for a, b in zip(low, high, strict=True)]
+    masks = [(values >= lower) & (values <= upper) for lower, upper in zip(low, high, strict=True)]
     has_enough = np.asarray([int(mask.sum()) >= FEWEST_BIN_SAMPLES for mask in masks])
     residuals_of_bins = [residuals[:, mask] for mask, is_drawn in zip(masks, has_enough, strict=True) if is_drawn]
     shape = (len(residuals_of_bins), len(residuals))  # of an array that keeps a row for each model even without any bin

@@ -275,7 +275,7 @@ def refusal(shrunk: Shrunk, at_bound: Sequence[str], beside_others: bool, equati
 
 
 def refusal_of_limit(shrunk: Shrunk) -> str:
-    """Return why no limit of the drive reduces the current of held-out runs; empty where one may.
+    """Return why the drive cannot have been at a limit in held-out runs; empty where it may have been.
 
     A limit that acts determines the current alone, so that it closes nearly all of the current's gap. A law that
     resembles the limit, such as that of a supply at its voltage limit, closes a part.
