@@ -87,3 +87,13 @@ def test_a_clipped_sensor_is_named(bench):
     result = analyzed(analyze, driven(bench, edit=clip, speeds=(2.0, 5.0, 8.0, 12.0, 30.0)))
     assert any("torque of test is saturated at" in note for note in result.notes)
     assert covered(result.find("viscous_damping"), B)
+
+
+def test_a_turn_without_a_reading_of_its_angle_shows_no_cogging(bench):
+    def lose(columns):
+        columns["angle"] = np.full_like(columns["angle"], np.nan)
+
+    result = analyzed(analyze, driven(bench, edit=lose))
+    assert any("no reading of its angle, or of its velocity: it shows no cogging" in note for note in result.notes)
+    assert covered(result.find("coulomb_friction"), F)
+    assert "cogging_amplitude" not in [item.name for item in result.results]

@@ -65,6 +65,8 @@ def turns_of(run: Run, number: int, torque: Channel, damping: float) -> Noted[li
     """
     angle, velocity = run.channel("angle"), run.channel("velocity")
     finite_angle, finite_velocity = np.isfinite(angle.values), np.isfinite(velocity.values)
+    if not (finite_angle.any() and finite_velocity.any()):
+        return Noted([], (f"{run.path}: no reading of its angle, or of its velocity: it shows no cogging",))
     inertia = inertia_of(run)
     rotor = RotorDynamics(inertia.value, damping)
     turns, notes = [], [*inertia.notes]
