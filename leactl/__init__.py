@@ -23,7 +23,7 @@ INTERFACE = (
 
 
 def __getattr__(name: str) -> Any:
-    """Load the functions for Python when one is asked for: a command that needs none must not wait for them."""
+    """Load `leactl.interface` when one of its names is first used, so that commands do not wait for its imports."""
     if name not in INTERFACE:
         raise AttributeError(f"module 'leactl' has no attribute '{name}'; it has {', '.join(INTERFACE)}")
     from importlib import import_module

@@ -1,11 +1,11 @@
-"""Every error that leactl raises on purpose, each with the exit status a shell script sees.
+"""Define every error that leactl raises on purpose, each with the exit status that a shell script sees.
 
 LeactlError (1)
  +- InputError (2)          a file, an option or a run that cannot be used
  |   +- MissingChannel      a run lacks a quantity that the question needs
  |   +- NotIdentifiable     the data cannot answer the question
- |   +- NotWritten          a file's place takes none (leactl.runfile.publish)
- |   +- RecordingFailed     the disk that was to hold a run takes no more (leactl.runfile.write.writer)
+ |   +- NotWritten          a file cannot be written (leactl.runfile.publish)
+ |   +- RecordingFailed     the file of a run cannot be written any more (leactl.runfile.write.writer)
  +- SafetyTrip (3)          the supervisor stopped the bench
  +- Stopped (4)             a person stopped the run
  +- DeviceError (5)         a device or its bus failed
@@ -20,20 +20,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-_PLACED = re.compile(r"(.+?):(\d+):(\d+)  (.*)", re.DOTALL)  # as yamlfile writes the place of a fault
-_OF_A_FILE = re.compile(r"(.+?): (.*)", re.DOTALL)
-_ENDINGS = (".h5", ".partial", ".yaml", ".yml", ".csv", ".json", ".mat")  # of files that a command reads
-_AT_A_LINE = re.compile(r"line (\d+)\b")  # as readers of tables write it
+_AT_LINE_AND_COLUMN = re.compile(r"(.+?):(\d+):(\d+)  (.*)", re.DOTALL)  # as yamlfile writes the position of a fault
+_FILE_AND_MESSAGE = re.compile(r"(.+?): (.*)", re.DOTALL)
+_INPUT_ENDINGS = (".h5", ".partial", ".yaml", ".yml", ".csv", ".json", ".mat")  # of files that a command reads
+_LINE_OF_TABLE = re.compile(r"line (\d+)\b")  # as leactl.tables writes the line of a row
 
 
 class LeactlError(Exception):
-    """Root of the tree: one line a person can act on."""
+    """Root of the tree; the message is one line that a person can act on."""
 
     exit_status = 1
 
 
 class InputError(LeactlError):
-    """An input that cannot be used: every fault found in it, one line each."""
+    """An input cannot be used; the message has one line for each of its faults."""
 
     exit_status = 2
 
@@ -42,19 +42,24 @@ class InputError(LeactlError):
         super().__init__("\n".join(self.faults))
 
     def as_json(self) -> list[dict[str, Any]]:
-        """Every fault as JSON takes it; file, line and column are null where it stands in no file."""
-        return [_parted(fault) for fault in self.faults]
+        """Return every fault as a JSON object; file, line and column are null for a fault that lies in no file."""
+        return [_fields_of_fault(fault) for fault in self.faults]
 
 
-def _parted(fault: str) -> dict[str, Any]:
-    """A fault's line as file, line, column and message."""
-    placed, of_a_file = _PLACED.fullmatch(fault), _OF_A_FILE.fullmatch(fault)
-    if placed:
-        file, line, column, message = placed.groups()
+def _fields_of_fault(fault: str) -> dict[str, Any]:
+    """Split the line of a fault into file, line, column and message."""
+    at_line, in_file = _AT_LINE_AND_COLUMN.fullmatch(fault), _FILE_AND_MESSAGE.fullmatch(fault)
+    if at_line:
+        file, line, column, message = at_line.groups()
         return {"file": file, "line": int(line), "column": int(column), "message": message}
-    if of_a_file and (of_a_file[1].endswith(_ENDINGS) or Path(of_a_file[1]).exists()):
-        row = _AT_A_LINE.match(of_a_file[2])
-        return {"file": of_a_file[1], "line": int(row[1]) if row else None, "column": None, "message": of_a_file[2]}
+    if in_file and (in_file[1].endswith(_INPUT_ENDINGS) or Path(in_file[1]).exists()):
+        table_line = _LINE_OF_TABLE.match(in_file[2])
+        return {
+            "file": in_file[1],
+            "line": int(table_line[1]) if table_line else None,
+            "column": None,
+            "message": in_file[2],
+        }
     return {"file": None, "line": None, "column": None, "message": fault}
 
 
@@ -93,7 +98,7 @@ class DeviceFault(DeviceError):
 
 
 class NoBus(DeviceError):
-    """The machine has no bus of this kind: nothing that hangs on it can have been commanded from here."""
+    """The machine has no bus of this kind, so that it cannot have commanded any device on such a bus."""
 
 
 class AcceptanceFailed(LeactlError):

@@ -1,6 +1,6 @@
-"""leactl from Python: the functions that the commands call, with answers that show themselves in a notebook.
+"""leactl from Python: the functions that the commands call; their answers display themselves in a notebook.
 
-`import leactl` offers all of it; nothing here is loaded before it is used.
+`import leactl` offers all these names, and loads this module when one of them is first used.
 """
 
 import json
@@ -23,7 +23,7 @@ Place = str | Path
 
 
 class Analysis(Result):
-    """Results of one experiment with their 95 % intervals: what `leactl analyze --json` prints."""
+    """Results of one experiment with their 95 % intervals, as `leactl analyze --json` prints them."""
 
     def __str__(self) -> str:
         from leactl.report.terminal import render
@@ -37,7 +37,7 @@ class Analysis(Result):
 
 
 class Diagnosis(DiagnosisResult):
-    """Where a model and runs disagree, and why: what `leactl gap diagnose --json` prints."""
+    """Disagreement of a model and runs, and its causes, as `leactl gap diagnose --json` prints them."""
 
     def __str__(self) -> str:
         from leactl.report.gap_text import render
@@ -51,11 +51,11 @@ class Diagnosis(DiagnosisResult):
         return framed(page(self))
 
     def write(self, *, html: Place | None = None, model: Place | None = None) -> None:
-        """Write the page, and the calibrated, augmented model; an earlier file of the name is replaced.
+        """Write the page, the calibrated and augmented model, or both; a file that exists already is replaced.
 
         Raises
         ------
-        InputError : a folder that does not exist, or a name that is no plain file's.
+        InputError : a folder does not exist, or a path is that of something other than a regular file.
         """
         from leactl.report.gap_files import Outputs
 
@@ -65,7 +65,7 @@ class Diagnosis(DiagnosisResult):
 
 
 class NotebookChannel(Channel):
-    """A channel that shows its curve in a notebook."""
+    """A channel that displays its curve in a notebook."""
 
     def _repr_html_(self) -> str:
         from leactl.report.notebook import channel_page, framed
@@ -74,10 +74,10 @@ class NotebookChannel(Channel):
 
 
 class NotebookRun(Run):
-    """A run file, open for reading, that shows its channels in a notebook."""
+    """A run file, open for reading, that displays its channels in a notebook."""
 
     def section(self, stream: str, spec: ChannelSpec, start: int, stop: int) -> NotebookChannel:
-        """Rows `start` to `stop` (excluded) of a channel.
+        """Return the rows `start` to `stop` (excluded) of a channel.
 
         Raises
         ------
@@ -93,7 +93,7 @@ class NotebookRun(Run):
 
 @dataclass(frozen=True)
 class Performed:
-    """How a run ended: what `leactl run --json` prints."""
+    """The end of a run, as `leactl run --json` prints it."""
 
     run: Path
     status: str  # complete, stopped, tripped or failed
@@ -105,11 +105,11 @@ class Performed:
     answer: Mapping[str, Any] = field(default_factory=dict, repr=False)  # as `leactl run --json` prints it
 
     def as_json(self) -> dict[str, Any]:
-        """The answer for other programs."""
+        """Return the answer as a JSON object."""
         return dict(self.answer)
 
     def open(self) -> Run:
-        """The run's file, open for reading."""
+        """Open the run's file for reading."""
         return NotebookRun.open(self.run)
 
     def _repr_html_(self) -> str:
@@ -124,23 +124,23 @@ def open_run(path: Place) -> Run:
 
     Raises
     ------
-    InputError : no run file, cut short, or breaking the format; one line for each fault.
+    InputError : the file is not a run file, is cut short, or breaks the format; one line for each fault.
     """
     return NotebookRun.open(path)
 
 
 def analyze(runs: Place | Iterable[Place], experiment: str = "", **options: float) -> Analysis:
-    """Fit the parameters that runs of one experiment were made for; repeats are combined.
+    """Fit the parameters that an experiment identifies from its runs; repeated runs are combined.
 
     Parameters
     ----------
-    runs : one run file or several.
-    experiment : what to analyse them as; by default what the runs ask for.
-    options : what the analysis may be told, such as `torque_constant=0.48`.
+    runs : path of one run file, or of several.
+    experiment : name of the analysis; by default the one that the runs name.
+    options : values for the analysis, such as `torque_constant=0.48`.
 
     Raises
     ------
-    InputError : files that are no runs or of different experiments, or an option that the analysis does not take.
+    InputError : files are not runs or are of different experiments, or the analysis does not take an option.
     """
     return Analysis(**vars(analyze_runs(_paths(runs), experiment, **options)))
 
@@ -153,20 +153,21 @@ def diagnose(
     *,
     simulated: Place | Iterable[Place] = (),
 ) -> Diagnosis:
-    """Say where a model and runs disagree, which unmodelled effect causes it, and how far the gap shrinks.
+    """Find where a model and runs disagree, which unmodelled effects cause it, and how far they reduce the gap.
 
     Parameters
     ----------
-    fit : run files to learn from.
-    held_out : those to judge on; where there are none, runs of `fit` are held out by leactl.
-    model : the nominal model's file; it may be left out where simulated runs carry one.
-    progress : is told each step as it begins.
-    simulated : runs of a simulator on the same inputs: it is the nominal then, and the model only begins its fit.
+    fit : run files from which parameters and effects are identified.
+    held_out : run files on which they are judged; if there are none, leactl holds out some runs of `fit`.
+    model : file of the nominal model; it may be left out if simulated runs contain one.
+    progress : called with a line at the beginning of each step.
+    simulated : runs of a simulator on the same inputs; the simulator is then the nominal, and `model` is only where
+        the fit starts.
 
     Raises
     ------
-    InputError : files that cannot be used, runs with nothing that the model could be checked with, or simulated runs of
-        other inputs or of another machine.
+    InputError : files cannot be used, the runs have no channel that the model predicts, or simulated runs are of other
+        inputs or of another machine.
     """
     from leactl.gap.simulated.request import requested_diagnosis
 
@@ -175,15 +176,15 @@ def diagnose(
 
 
 def simulate(model: Place, run: Place, out: Place | None = None) -> Simulated:
-    """Replay a run's inputs through a model and write what comes out as a run file with the same channels and clocks.
+    """Simulate a run's inputs with a model, and write the outputs as a run file with the same channels and clocks.
 
     Parameters
     ----------
-    out : the new file; by default one beside the run.
+    out : path of the new file; by default one in the folder of the run.
 
     Raises
     ------
-    InputError : files that cannot be used, a model that says nothing of this run, or an existing file at `out`.
+    InputError : files cannot be used, the model predicts no channel of this run, or a file exists at `out`.
     """
     from leactl.gap.replay.replay_run_file import simulate as write
 
@@ -210,15 +211,16 @@ def run_protocol(
 
     Parameters
     ----------
-    protocol, bench : names of shipped ones, or paths.
-    settings : parameters of the protocol by name, NumPy's numbers and arrays too; also `seed` of an emulated bench.
+    protocol, bench : names of shipped files, or paths.
+    settings : values of the protocol's parameters by name, also as numbers and arrays of NumPy; `seed` is that of an
+        emulated bench.
     out : directory of the run file.
-    check : raise the error that ended the run; else it is told in the answer.
+    check : raise the error that ended the run; otherwise the answer contains it.
 
     Raises
     ------
-    InputError : a name, a file or a setting that cannot be used, or a protocol that asks a person on a real bench.
-    SafetyTrip, Stopped, DeviceError, AcceptanceFailed : what ended the run, with `check`; its notes name the file.
+    InputError : a name, a file or a setting cannot be used, or a protocol for a real bench asks the operator.
+    SafetyTrip, Stopped, DeviceError, AcceptanceFailed : with `check`, the run ended so; the error's note has its path.
     """
     from contextlib import nullcontext
     from dataclasses import replace
@@ -229,11 +231,11 @@ def run_protocol(
     from leactl.runner.request import prepare
     from leactl.runner.session import execute
 
-    words = [f"{name}={_word(value)}" for name, value in (settings or {}).items()]
-    request = prepare(str(protocol), str(bench), words, actuator, condition, operator, Path(out), realtime)
+    overrides = [f"{name}={_override_text(value)}" for name, value in (settings or {}).items()]
+    request = prepare(str(protocol), str(bench), overrides, actuator, condition, operator, Path(out), realtime)
     request = replace(request, cold=cold, insert_cooldown=insert_cooldown)
-    asks = any(isinstance(action, Prompt) for action in request.plan.actions)
-    if asks and request.bench.emulated is None:
+    asks_operator = any(isinstance(action, Prompt) for action in request.plan.actions)
+    if asks_operator and request.bench.emulated is None:
         raise InputError(f"protocol '{request.plan.name}' asks the operator; run it by: leactl run {protocol}")
     outcome = execute(request, confirm_at_once, lambda _progress: nullcontext())
     acceptance, unmet = judge_all(request.plan, outcome)
@@ -253,18 +255,18 @@ def run_protocol(
     )
 
 
-def _paths(given: Place | Iterable[Place]) -> list[Path]:
-    return [Path(given)] if isinstance(given, str | Path) else [Path(path) for path in given]
+def _paths(paths: Place | Iterable[Place]) -> list[Path]:
+    return [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
 
 
-def _word(value: object) -> str:
-    """A setting as a command line has it; numbers and arrays of NumPy are those of Python.
+def _override_text(value: object) -> str:
+    """Return a setting as the text of a command line; numbers and arrays of NumPy become those of Python.
 
     Raises
     ------
-    InputError : it is neither a text nor made of numbers.
+    InputError : the setting is neither a text nor a number or list of numbers.
     """
     try:
-        return value if isinstance(value, str) else json.dumps(value, default=lambda other: other.tolist())
+        return value if isinstance(value, str) else json.dumps(value, default=lambda array: array.tolist())
     except (AttributeError, TypeError, ValueError):
         raise InputError(f"setting {value!r}: a text, a number or a list of numbers was expected") from None

@@ -1,7 +1,7 @@
-"""The same work on many jobs, in one process or several: the results are the same, and a stop ends in order.
+"""Run one function on many jobs in one process or in several; the results are the same, and a stop ends in order.
 
-Work and jobs are pickled, so the work is a function of a module. A worker is a fresh interpreter, which costs about a
-second: several processes pay off where the jobs take longer than that together.
+Functions and jobs are pickled, so that the function has to be one of a module. A worker is a fresh interpreter, which
+takes about a second to start: several processes pay off if the jobs together take longer.
 """
 
 import os
@@ -21,27 +21,27 @@ from typing import Any, Generic, Self, TypeVar
 
 from leactl.errors import InputError, LeactlError
 
-Job = tuple[Any, ...]
+Job = tuple[Any, ...]  # arguments of the function
 Progress = Callable[[str], None]
 Value = TypeVar("Value")
-FEWEST_JOBS = 2  # for which a worker is started
-# for each worker, how many jobs are handed out or done and not asked for yet: memory stays flat however many there are
-AHEAD = 16
+FEWEST_JOBS = 2  # for which workers are started
+# jobs of each worker that are submitted and whose results are not read yet; a fixed number bounds the memory of results
+JOBS_AHEAD = 16
 
 
 @dataclass(frozen=True)
 class Done(Generic[Value]):
-    """What came of a job: its result, or the lines that say why its input cannot be used."""
+    """Outcome of a job: its result, or the faults of its input, one line each."""
 
     result: Value | None
     faults: list[str]
 
     def value(self) -> Value:
-        """The result.
+        """Return the result.
 
         Raises
         ------
-        InputError : there is none.
+        InputError : the job's input had faults.
         """
         if self.faults:
             raise InputError(self.faults)
@@ -49,7 +49,7 @@ class Done(Generic[Value]):
 
 
 class Workers:
-    """Processes that do jobs while the block lasts; one process is this one, which needs no block.
+    """Context manager of the processes that run jobs; a single process is the present one and needs no `with`.
 
     Raises
     ------
@@ -70,35 +70,35 @@ class Workers:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
     def in_order(self, work: Callable[..., Value], jobs: Sequence[Job]) -> Iterator[Done[Value]]:
-        """What comes of each job, in the order of the jobs; in this process each is done when it is asked for."""
-        if self._are_done_here(jobs):
-            yield from (tried(work, job) for job in jobs)
+        """Yield the outcome of each job, in the order of the jobs; one process runs each job when it is asked for."""
+        if self._runs_in_this_process(jobs):
+            yield from (run_job(work, job) for job in jobs)
             return
-        with _named_where_a_worker_ends():
-            pool = self._started()
-            yield from in_order(lambda job: pool.submit(tried, work, job), jobs, AHEAD * self._processes)
+        with _lost_worker_reported():
+            pool = self._started_pool()
+            yield from results_in_order(lambda job: pool.submit(run_job, work, job), jobs, JOBS_AHEAD * self._processes)
 
     def as_done(self, work: Callable[..., Value], jobs: Sequence[Job]) -> Iterator[Done[Value]]:
-        """What comes of each job, as soon as it is there."""
-        if self._are_done_here(jobs):
-            yield from (tried(work, job) for job in jobs)
+        """Yield the outcome of each job as soon as it is known, in any order."""
+        if self._runs_in_this_process(jobs):
+            yield from (run_job(work, job) for job in jobs)
             return
-        with _named_where_a_worker_ends():
-            pool, waiting = self._started(), iter(jobs)
-            running = {pool.submit(tried, work, job) for job in islice(waiting, AHEAD * self._processes)}
-            while running:
-                done, running = wait(running, return_when=FIRST_COMPLETED)
+        with _lost_worker_reported():
+            pool, jobs_left = self._started_pool(), iter(jobs)
+            futures = {pool.submit(run_job, work, job) for job in islice(jobs_left, JOBS_AHEAD * self._processes)}
+            while futures:
+                done, futures = wait(futures, return_when=FIRST_COMPLETED)
                 while done:
                     yield done.pop().result()
-                    running |= {pool.submit(tried, work, job) for job in islice(waiting, 1)}
+                    futures |= {pool.submit(run_job, work, job) for job in islice(jobs_left, 1)}
 
-    def _are_done_here(self, jobs: Sequence[Job]) -> bool:
+    def _runs_in_this_process(self, jobs: Sequence[Job]) -> bool:
         return self._processes == 1 or (self._pool is None and len(jobs) < FEWEST_JOBS)
 
-    def _started(self) -> ProcessPoolExecutor:
+    def _started_pool(self) -> ProcessPoolExecutor:
         if self._pool is None:
-            # fresh interpreters: a fork would carry the threads of libraries along
-            self._pool = ProcessPoolExecutor(self._processes, get_context("spawn"), _prepare)
+            # fresh interpreters, since a fork would copy the locks of libraries' threads without the threads
+            self._pool = ProcessPoolExecutor(self._processes, get_context("spawn"), _prepare_worker)
         return self._pool
 
 
@@ -106,58 +106,62 @@ HERE = Workers()
 
 
 def each(work: Callable[..., None], jobs: Sequence[Job], workers: Workers, verb: str, progress: Progress) -> None:
-    """Do every job; each writes its own result, so that one that fails or a stop costs no other.
+    """Run every job; a job stores its own result, so that a failed job or a stop loses no other job's result.
 
-    The time that is left is told after each.
+    Parameters
+    ----------
+    verb : what was done to a job, for the lines of progress.
+    progress : called after each job with the number of finished jobs and the estimated remaining time.
 
     Raises
     ------
-    InputError : jobs whose input cannot be used, all of them at the end.
+    InputError : the faults of all jobs whose input cannot be used, after the last job.
     """
-    began, faults = time.monotonic(), []
-    for count, done in enumerate(workers.as_done(work, jobs), start=1):
-        faults += done.faults
-        left = (time.monotonic() - began) / count * (len(jobs) - count)
-        progress(f"{count} of {len(jobs)} {verb}, about {left / 60:.1f} min left")
+    start, faults = time.monotonic(), []
+    for count, outcome in enumerate(workers.as_done(work, jobs), start=1):
+        faults += outcome.faults
+        remaining_s = (time.monotonic() - start) / count * (len(jobs) - count)
+        progress(f"{count} of {len(jobs)} {verb}, about {remaining_s / 60:.1f} min left")
     if faults:
         raise InputError(faults)
 
 
-def in_order(submit: Callable[[Job], Any], jobs: Iterable[Job], window: int) -> Iterator[Any]:
-    """The result of each job's future, in the order of the jobs; at most `window` futures are there at a time."""
-    waiting = iter(jobs)
-    running = deque(map(submit, islice(waiting, window)))
-    while running:
-        yield running.popleft().result()
-        running.extend(map(submit, islice(waiting, 1)))
+def results_in_order(submit: Callable[[Job], Any], jobs: Iterable[Job], window: int) -> Iterator[Any]:
+    """Yield the result of each job's future, in the order of the jobs; at most `window` futures exist at a time."""
+    jobs_left = iter(jobs)
+    futures = deque(map(submit, islice(jobs_left, window)))
+    while futures:
+        yield futures.popleft().result()
+        futures.extend(map(submit, islice(jobs_left, 1)))
 
 
-def tried(work: Callable[..., Value], job: Job) -> Done[Value]:
-    """Do a job."""
+def run_job(work: Callable[..., Value], job: Job) -> Done[Value]:
+    """Run a job; faults of its input become part of the outcome."""
     try:
         return Done(work(*job), [])
-    except InputError as error:  # as lines: pickled, an error of several lines would be an error of one
+    except InputError as error:  # part of the outcome, since a raised error would end the other jobs
         return Done(None, error.faults)
 
 
 @contextmanager
-def _named_where_a_worker_ends() -> Iterator[None]:
+def _lost_worker_reported() -> Iterator[None]:
+    """Convert the executor's error on a lost worker to a LeactlError of one line."""
     try:
         yield
     except BrokenProcessPool:
-        ended = "a worker process was ended from outside, as the system does where memory runs out"
-        raise LeactlError(f"{ended}; fewer --processes need less") from None
+        reason = "a worker process was ended from outside, as the system does where memory runs out"
+        raise LeactlError(f"{reason}; fewer --processes need less") from None
 
 
-def _prepare() -> None:
-    # Ctrl-C reaches every process of a terminal: the first one lets the others finish the job they are at
+def _prepare_worker() -> None:
+    # Ctrl-C reaches every process of a terminal; the parent lets the workers finish their present jobs
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    Thread(target=_end_with_the_first, daemon=True).start()
+    Thread(target=_exit_with_parent, daemon=True).start()
 
 
-def _end_with_the_first() -> None:
-    # a worker waits for jobs on a pipe whose other end it holds itself, and would wait for ever
-    first = parent_process()
-    if first is not None:
-        first.join()
+def _exit_with_parent() -> None:
+    # a worker waits for jobs on a pipe whose other end it has open too, and would outlive its parent for ever
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
         os._exit(LeactlError.exit_status)

@@ -37,14 +37,14 @@ LINEAR_UNITS: Final[dict[str, str]] = {
     "rad/s": "m/s",
     "N*m": "N",
 }
-"""Units that a linear axis of a foreign rig may use instead."""
+"""Unit of a linear axis of a foreign rig, by the unit that it replaces."""
 
 ROLES: Final = ("test", "load", "bench")
-SETUPS: Final = ("free", "locked", "coupled", "heated")
+SETUPS: Final = ("free", "locked", "coupled", "heated")  # mechanical set-ups of a bench
 
 
 def accepted_units(quantity: str) -> tuple[str, ...]:
-    """Units that a channel of this quantity may carry; empty for a quantity outside the vocabulary."""
+    """Return the units that a channel of this quantity may have; empty for a quantity outside the vocabulary."""
     unit = UNITS.get(quantity)
     if unit is None:
         return ()
@@ -52,7 +52,7 @@ def accepted_units(quantity: str) -> tuple[str, ...]:
 
 
 class ChannelSpec(NamedTuple):
-    """What a channel is, apart from its numbers; a reader finds it by quantity, role and location, never by name."""
+    """Description of a channel; a reader finds a channel by quantity, role and location, never by name."""
 
     name: str
     quantity: str
@@ -60,13 +60,13 @@ class ChannelSpec(NamedTuple):
     device: str
     long_name: str = ""
     location: str = ""
-    sampling: str = "instant"  # or "mean": over the interval that ends at the stamp; empty: known to within one sample
-    units: str = ""  # empty: the vocabulary's own
-    dtype: str = "f4"  # storage; angles take "f8", float32 loses counts after a few hundred turns
-    skew_s: float = 0.0  # from the row's stamp to this channel's own sample, behind a multiplexer
+    sampling: str = "instant"  # or "mean" over the interval that ends at the stamp; empty: stamps good to one sample
+    units: str = ""  # empty: those of the vocabulary
+    dtype: str = "f4"  # of the stored values; angles have "f8", since float32 loses counts after a few hundred turns
+    skew_s: float = 0.0  # from the row's stamp to this channel's sample, if a multiplexer reads channels in turn
     scale_std: float = 0.0  # relative standard uncertainty of the calibration, shared by the device's channels
 
     @property
     def unit(self) -> str:
-        """The unit string that is stored with the channel."""
+        """Unit that is stored with the channel."""
         return self.units or UNITS[self.quantity]

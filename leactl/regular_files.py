@@ -1,6 +1,6 @@
-"""Open regular files alone: a FIFO without a writer holds whoever opens it, a device such as /dev/zero never ends.
+"""Open regular files only: to open a FIFO without a writer waits for ever, and a device such as /dev/zero never ends.
 
-What only POSIX has is left out on other systems, where files are read and benches are emulated.
+Flags that only POSIX has are 0 on other systems, on which leactl reads files and emulates benches.
 """
 
 import errno
@@ -12,96 +12,99 @@ from typing import BinaryIO, Final
 
 from leactl.errors import InputError
 
+# flags of `os.open`
 NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)
 AT_ONCE: Final = getattr(os, "O_NONBLOCK", 0)
-OF_THIS_PROCESS: Final = getattr(os, "O_CLOEXEC", 0) or getattr(os, "O_NOINHERIT", 0)
-AS_BYTES: Final = getattr(os, "O_BINARY", 0)  # Windows writes other line ends without it
+OF_THIS_PROCESS: Final = getattr(os, "O_CLOEXEC", 0) or getattr(os, "O_NOINHERIT", 0)  # no child inherits the file
+AS_BYTES: Final = getattr(os, "O_BINARY", 0)  # without it, Windows converts line ends
 
 
-def open_regular(path: Path, most: int | None = None) -> BinaryIO:
+def open_regular(path: Path, most_bytes: int | None = None) -> BinaryIO:
     """Open a regular file for reading bytes.
 
     Parameters
     ----------
-    most : bytes that it may have.
+    most_bytes : largest size of the file; None for no limit.
 
     Raises
     ------
-    OSError : it cannot be opened, is of another kind, or larger; `strerror` says so.
+    OSError : the file cannot be opened, is not a regular file, or is too large; `strerror` has the reason.
     """
     stream = os.fdopen(os.open(path, os.O_RDONLY | AT_ONCE | OF_THIS_PROCESS | AS_BYTES), "rb")
-    about = os.fstat(stream.fileno())
-    if stat.S_ISREG(about.st_mode) and (most is None or about.st_size <= most):
+    status = os.fstat(stream.fileno())
+    if stat.S_ISREG(status.st_mode) and (most_bytes is None or status.st_size <= most_bytes):
         return stream
     stream.close()
-    if stat.S_ISDIR(about.st_mode):
+    if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    if not stat.S_ISREG(about.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "a regular file was expected; this is none", str(path))
-    raise OSError(errno.EFBIG, f"{about.st_size} bytes; at most {most} are read", str(path))
+    raise OSError(errno.EFBIG, f"{status.st_size} bytes; at most {most_bytes} are read", str(path))
 
 
 def is_being_written(path: Path) -> bool:
-    """Return whether a process of this machine is seen to have a file open for writing.
+    """Return whether a process of this machine has a file open for writing, as far as /proc shows it.
 
-    It is looked up under /proc, which shows a user's own processes: HDF5's lock is no help, since a writer that others
-    may read along gives it up, and network file systems refuse a lease whoever writes.
+    /proc shows the open files of a user's own processes. HDF5's lock does not help, since a writer in SWMR mode
+    releases it, and a file lease does not either, since network file systems refuse leases whether or not a file is
+    written.
     """
     try:
-        about = path.stat()
+        status = path.stat()
         processes = [entry for entry in Path("/proc").iterdir() if entry.name.isdecimal()]
     except OSError:
         return False
     for process in processes:
-        with suppress(OSError):  # it has ended, or is another user's
-            if any(_writes(process, descriptor, about) for descriptor in (process / "fd").iterdir()):
+        with suppress(OSError):  # the process has ended, or is another user's
+            if any(_writes(process, descriptor, status) for descriptor in (process / "fd").iterdir()):
                 return True
     return False
 
 
-def _writes(process: Path, descriptor: Path, about: os.stat_result) -> bool:
+def _writes(process: Path, descriptor: Path, status: os.stat_result) -> bool:
+    """Return whether a descriptor of a process is open for writing to the file with this status."""
     try:
-        if not os.path.samestat(descriptor.stat(), about):
+        if not os.path.samestat(descriptor.stat(), status):
             return False
-        told = (process / "fdinfo" / descriptor.name).read_text(encoding="ascii")
-    except OSError:  # it was closed meanwhile
+        descriptor_info = (process / "fdinfo" / descriptor.name).read_text(encoding="ascii")
+    except OSError:  # the descriptor was closed meanwhile
         return False
-    flags = next((line.split()[1] for line in told.splitlines() if line.startswith("flags:")), "0")
+    flags = next((line.split()[1] for line in descriptor_info.splitlines() if line.startswith("flags:")), "0")
     return int(flags, 8) & os.O_ACCMODE != os.O_RDONLY
 
 
-def file_bytes(path: Path, most: int | None = None, count: int = -1) -> bytes:
+def file_bytes(path: Path, most_bytes: int | None = None, count: int = -1) -> bytes:
     """Read a regular file that a person named.
 
     Parameters
     ----------
-    most : largest size of the file [bytes].
-    count : bytes that are read; -1 reads the whole file.
+    most_bytes : largest size of the file; None for no limit.
+    count : number of bytes to read; -1 reads the whole file.
 
     Raises
     ------
-    InputError : it cannot be opened, is no regular file, or is larger than `most`; in one line.
+    InputError : the file cannot be opened, is not a regular file, or is larger than `most_bytes`; in one line.
     """
     try:
-        with open_regular(path, most) as stream:
+        with open_regular(path, most_bytes) as stream:
             return stream.read(count)
-    except OSError as fault:
-        raise InputError(f"{path}: {fault.strerror or fault}") from None
-    except ValueError as fault:  # a path may hold characters that no file name can
-        raise InputError(f"{str(path)!r}: {fault}") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from None
+    except ValueError as error:  # a path may hold characters that no file name can
+        raise InputError(f"{str(path)!r}: {error}") from None
 
 
-def read_at(descriptor: int, count: int, place: int) -> bytes:
-    """Read bytes at a place of a file, wherever it stands."""
+def read_at(descriptor: int, count: int, offset: int) -> bytes:
+    """Read up to `count` bytes at an offset of a file, whatever its present position."""
     if hasattr(os, "pread"):
-        return os.pread(descriptor, count, place)
-    os.lseek(descriptor, place, os.SEEK_SET)
+        return os.pread(descriptor, count, offset)
+    os.lseek(descriptor, offset, os.SEEK_SET)
     return os.read(descriptor, count)
 
 
-def write_at(descriptor: int, data: bytes, place: int) -> int:
-    """Write bytes at a place of a file, wherever it stands; how many of them were."""
+def write_at(descriptor: int, data: bytes, offset: int) -> int:
+    """Write bytes at an offset of a file, whatever its present position, and return the number of bytes written."""
     if hasattr(os, "pwrite"):
-        return os.pwrite(descriptor, data, place)
-    os.lseek(descriptor, place, os.SEEK_SET)
+        return os.pwrite(descriptor, data, offset)
+    os.lseek(descriptor, offset, os.SEEK_SET)
     return os.write(descriptor, data)

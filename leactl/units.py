@@ -1,4 +1,4 @@
-"""Units that foreign files are written in, as factor and zero to the units that run files keep."""
+"""Units in which foreign files may be written, each with its factor and zero in the units of run files."""
 
 import math
 from typing import Final, NamedTuple
@@ -37,19 +37,19 @@ CONVERSIONS: Final[dict[str, dict[str, tuple[float, float]]]] = {
     "1": {"1": (1, 0), "%": (1e-2, 0)},
 }
 SECONDS: Final[dict[str, float]] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-LINEAR: Final = frozenset(LINEAR_UNITS.values())
+LINEAR: Final = frozenset(LINEAR_UNITS.values())  # units of linear axes in run files
 
 
 class Conversion(NamedTuple):
-    """target = factor * (source - zero)."""
+    """Conversion of numbers to a unit of run files: target = factor * (source - zero)."""
 
-    target: str
+    target: str  # unit
     factor: float
-    zero: float
+    zero: float  # in the source unit
 
 
 def converter(units: str, quantity: str) -> Conversion | None:
-    """How numbers in these units become the quantity's own; None where they measure something else."""
+    """Return the conversion from these units to a unit of the quantity; None if they measure another quantity."""
     for target in accepted_units(quantity):
         if units in CONVERSIONS[target]:
             return Conversion(target, *CONVERSIONS[target][units])
@@ -57,5 +57,5 @@ def converter(units: str, quantity: str) -> Conversion | None:
 
 
 def known_units(quantity: str) -> list[str]:
-    """Every unit that a quantity may be given in."""
+    """Return every unit in which a file may give a quantity."""
     return [units for target in accepted_units(quantity) for units in CONVERSIONS[target]]

@@ -46,7 +46,7 @@ def test_few_short_printable_lines(tmp_path, kind, text):
     with pytest.raises(InputError) as caught:
         KINDS[kind](path)
     assert len(caught.value.faults) < 10
-    assert all(len(fault) < 2 * yamlfile.LONGEST_LINE and fault.isprintable() for fault in caught.value.faults)
+    assert all(len(fault) < 2 * yamlfile.LONGEST_FAULT and fault.isprintable() for fault in caught.value.faults)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -12,7 +12,7 @@ from threading import RLock
 import pytest
 
 from leactl.errors import InputError, LeactlError
-from leactl.processes import AHEAD, Workers, each
+from leactl.processes import JOBS_AHEAD, Workers, each
 
 FIRST_ENDS = """
 import sys, time
@@ -76,12 +76,14 @@ def test_as_many_results_are_kept_for_many_jobs_as_for_few(order):
     Counted.most = 0
     numbers = []
     with Workers(2) as workers:
-        for done in getattr(workers, order)(Counted, [(number,) for number in range(20 * AHEAD)]):
+        for done in getattr(workers, order)(Counted, [(number,) for number in range(20 * JOBS_AHEAD)]):
             numbers.append(done.value().number)
             if len(numbers) == 1:
                 time.sleep(1)  # in which the workers do what they have been handed
-    assert numbers == list(range(20 * AHEAD)) if order == "in_order" else set(numbers) == set(range(20 * AHEAD))
-    assert AHEAD < Counted.most <= 2 * AHEAD + 2  # the last one asked for, and one on its way
+    assert (
+        numbers == list(range(20 * JOBS_AHEAD)) if order == "in_order" else set(numbers) == set(range(20 * JOBS_AHEAD))
+    )
+    assert JOBS_AHEAD < Counted.most <= 2 * JOBS_AHEAD + 2  # the last one asked for, and one on its way
 
 
 def test_faults_of_all_jobs_come_at_the_end_in_whole_lines():

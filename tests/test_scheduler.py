@@ -9,7 +9,7 @@ import pytest
 
 from leactl import __version__, run_protocol
 from leactl.errors import InputError, LeactlError
-from leactl.processes import AHEAD, Workers
+from leactl.processes import JOBS_AHEAD, Workers
 from leactl.scheduler import ScheduledWorkers
 from tests.cli.terminal import COMMAND, leactl
 from tests.dask_cluster import dask_clusters
@@ -65,13 +65,13 @@ def test_results_keep_their_order_and_a_lost_worker_costs_none(cluster, tmp_path
 
 def test_as_many_jobs_are_with_the_scheduler_for_many_as_for_few(cluster):
     address, _ = cluster(2)
-    names = [f"job-{number}" for number in range(10 * AHEAD)]
+    names = [f"job-{number}" for number in range(10 * JOBS_AHEAD)]
     with ScheduledWorkers(address) as workers:
         for order in (workers.in_order, workers.as_done):
             there = []
             for done in order(told_apart, [(name,) for name in names]):
                 there.append((len(workers._client.futures), done.value()[0]))
-            assert max(count for count, _ in there) <= 2 * AHEAD + 1
+            assert max(count for count, _ in there) <= 2 * JOBS_AHEAD + 1
             assert sorted(name for _, name in there) == sorted(names)
 
 
