@@ -1,4 +1,4 @@
-"""Reads columns of a text table in a stated format, row by row; only the requested columns take memory."""
+"""Read columns of a text table in a stated format, row by row; only the requested columns take memory."""
 
 import sys
 from array import array
@@ -33,6 +33,7 @@ class CsvForm(TableFormat):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
+        """Raise ValueError if the numbers do not begin below the header."""
         if self.data_line is not None and self.data_line <= self.header_line:
             raise ValueError(f"data_line {self.data_line} is not after header_line {self.header_line}")
         return self
@@ -43,13 +44,16 @@ class Columns:
 
     Parameters
     ----------
+    form : format of the table.
     wanted : names, or indices from 0, of columns of numbers; None reads every column as text. Names that the header
         lacks are left out.
     labels : names, or indices from 0, of columns that are read as text.
     options : prefix of the names of settings in messages, such as `csv.`; empty if the user cannot set them.
     every_row : whether rows without any value count.
     strict : whether a cell that begins with a quote has to end with one.
-    most_rows : number of rows after which reading ends.
+    most_bytes : largest size of the file; None for no limit.
+    most_rows : number of rows after which reading ends; None for no limit.
+    most_faults : number of faults after which reading ends.
 
     Raises
     ------
@@ -57,7 +61,7 @@ class Columns:
         `most_faults` lines.
     """
 
-    words: ClassVar[Mapping[str, float]] = {}  # numbers of words in lower case, such as true
+    words: ClassVar[Mapping[str, float]] = {}  # the number that a word in lower case, such as true, stands for
     has_text: ClassVar[bool] = False  # whether a column whose first cell is not a number is read as text
 
     def __init__(

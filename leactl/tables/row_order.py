@@ -1,6 +1,6 @@
-"""Order of the rows of a record in time: finds doubled rows, stamps that go back, and missing frames.
+"""Check the order of a record's rows in time: find doubled rows, stamps that go back, and missing frames.
 
-Rows are never added or moved. A row stays or is left out, and a remark says which rows are left out.
+No row is added or moved. A row is kept or left out, and a remark says which rows are left out.
 """
 
 from collections.abc import Callable
@@ -14,8 +14,8 @@ from leactl.errors import InputError
 
 Array = npt.NDArray[np.float64]
 GAP_FACTOR = 1.5  # an interval longer than this multiple of the median interval is a gap
-FEWEST_STEPS = 10  # between stamps, from which repeats or a slope are judged
-COARSE_SHARE = 0.2  # share of repeated stamps above which the stamps count as coarser than the frames
+FEWEST_STAMP_STEPS = 10  # steps between stamps, from which the share of repeats or the frame rate is estimated
+COARSE_REPEAT_SHARE = 0.2  # share of repeated stamps above which the stamps count as coarser than the frames
 
 
 class Ordered(NamedTuple):
@@ -49,19 +49,19 @@ def order_rows(
     ------
     InputError : a row has no stamp, a stamp goes back, or rows with different values share a stamp.
     """
-    without_stamp = np.flatnonzero(~np.isfinite(time))
-    if len(without_stamp):
-        raise InputError(f"{where(int(without_stamp[0]))}: no stamp ({len(without_stamp)} such rows)")
+    rows_without_stamp = np.flatnonzero(~np.isfinite(time))
+    if len(rows_without_stamp):
+        raise InputError(f"{where(int(rows_without_stamp[0]))}: no stamp ({len(rows_without_stamp)} such rows)")
     remarks: list[str] = []
     latest = np.maximum.accumulate(time)
     backward_rows = np.flatnonzero(time < latest)
     if len(backward_rows) and backward == "refuse":
         row = int(backward_rows[0])
         step = time[row - 1] - time[row]
-        half_day = "; a 12-hour clock without AM/PM?" if 11 * 3600 < step < 12.1 * 3600 else ""
+        hint = "; a 12-hour clock without AM/PM?" if 11 * 3600 < step < 12.1 * 3600 else ""
         raise InputError(
             f"{where(row)}: the stamp goes back by {step:.6g} s"
-            f" ({len(backward_rows)} rows lie behind one before them){half_day}"
+            f" ({len(backward_rows)} rows lie behind one before them){hint}"
             "; time.backward: leave_out leaves them out"
         )
     if len(backward_rows):
@@ -70,24 +70,28 @@ def order_rows(
         time, values = time[kept_rows], values[kept_rows]
         where = partial(_where_kept, where, kept_rows)
     repeats = np.diff(time) == 0
-    if len(repeats) >= FEWEST_STEPS and repeats.mean() > COARSE_SHARE:
+    if len(repeats) >= FEWEST_STAMP_STEPS and repeats.mean() > COARSE_REPEAT_SHARE:
         time = times_by_count(time, resolution, frame_rate, where)
         remarks.append(f"{int(repeats.sum())} rows share a stamp with the one before: placed at {frame_rate:g} Hz")
         repeats = np.zeros(len(repeats), bool)
-    doubled = np.flatnonzero(repeats) + 1
+    doubled_rows = np.flatnonzero(repeats) + 1
     repeated_values = repeated_rows(values)
-    if len(doubled):
-        empty = np.asarray(~np.isfinite(values).any(axis=1))  # rows without a reading are alike
-        before = doubled - 1
-        different = doubled[~(repeated_values[before] | (empty[doubled] & empty[before]))]
-        if len(different):
+    if len(doubled_rows):
+        without_reading = np.asarray(~np.isfinite(values).any(axis=1))  # two such rows do not conflict
+        rows_before = doubled_rows - 1
+        conflicting_rows = doubled_rows[
+            ~(repeated_values[rows_before] | (without_reading[doubled_rows] & without_reading[rows_before]))
+        ]
+        if len(conflicting_rows):
             hint = "are stamps coarser than frames? time.frame_rate_Hz places them"
-            raise InputError(f"{where(int(different[0]))}: the stamp stands twice, over different values; {hint}")
-        remarks.append(f"{len(doubled)} rows doubled, the first at {where(int(doubled[0]))}: left out")
+            raise InputError(
+                f"{where(int(conflicting_rows[0]))}: the stamp stands twice, over different values; {hint}"
+            )
+        remarks.append(f"{len(doubled_rows)} rows doubled, the first at {where(int(doubled_rows[0]))}: left out")
         time, values, repeated_values = (
-            np.delete(time, doubled),
-            np.delete(values, doubled, axis=0),
-            np.delete(repeated_values, doubled - 1),
+            np.delete(time, doubled_rows),
+            np.delete(values, doubled_rows, axis=0),
+            np.delete(repeated_values, doubled_rows - 1),
         )
     remarks += gap_remarks(time)
     if values.shape[1] > 1 and repeated_values.any():
@@ -96,15 +100,15 @@ def order_rows(
 
 
 def _where_kept(where: Callable[[int], str], kept_rows: npt.NDArray[np.intp], row: int) -> str:
-    """Return file and line of a row of those that were kept."""
+    """Return file and line of a row, by its index among the kept rows."""
     return where(int(kept_rows[row]))
 
 
 def repeated_rows(values: Array) -> npt.NDArray[np.bool_]:
     """Return a mask (n - 1,) of the rows that equal the one before in every column; rows of NaN alone do not count."""
-    before, after = values[:-1], values[1:]
-    equal: npt.NDArray[np.bool_] = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
-    return equal & np.isfinite(after).any(axis=1)
+    earlier, later = values[:-1], values[1:]
+    equal: npt.NDArray[np.bool_] = ((earlier == later) | (np.isnan(earlier) & np.isnan(later))).all(axis=1)
+    return equal & np.isfinite(later).any(axis=1)
 
 
 def times_by_count(time: Array, resolution: float, frame_rate: float | None, where: Callable[[int], str]) -> Array:
@@ -117,24 +121,27 @@ def times_by_count(time: Array, resolution: float, frame_rate: float | None, whe
     """
     if frame_rate is None:
         raise InputError(f"{where(1)}: stamps are coarser than frames; time.frame_rate_Hz places them")
-    count = np.arange(len(time), dtype=np.float64)
-    first_rows = np.flatnonzero(np.diff(time) > 0) + 1  # of each stamp: closest to the moment at which it changed
-    slope = 1.0 / frame_rate
-    if len(first_rows) >= FEWEST_STEPS:
-        slope = float(np.polyfit(count[first_rows], time[first_rows], 1)[0])
+    frame_numbers = np.arange(len(time), dtype=np.float64)
+    # the first row of each stamp is closest to the moment at which the stamp changed
+    first_rows = np.flatnonzero(np.diff(time) > 0) + 1
+    frame_interval = 1.0 / frame_rate
+    if len(first_rows) >= FEWEST_STAMP_STEPS:
+        frame_interval = float(np.polyfit(frame_numbers[first_rows], time[first_rows], 1)[0])
     if not len(first_rows):
         raise InputError(f"{where(1)}: all {len(time)} rows have one stamp; stamps that go on were expected")
-    if abs(slope * frame_rate - 1.0) > 0.01:
-        raise InputError(f"{where(1)}: {1.0 / slope:.4g} rows a second; time.frame_rate_Hz says {frame_rate:g}")
-    start = float(np.mean(time[first_rows] + 0.5 * slope - slope * count[first_rows]))
-    placed: Array = start + slope * count
-    beyond = np.flatnonzero(np.abs(placed - time - 0.5 * resolution) > 0.5 * resolution + 1.5 / frame_rate)
-    if len(beyond):
+    if abs(frame_interval * frame_rate - 1.0) > 0.01:
         raise InputError(
-            f"{where(int(beyond[0]))}: counting frames at {1.0 / slope:.4g} Hz leaves the stamps; frames are missing,"
-            " and stamps this coarse do not tell which: export finer ones"
+            f"{where(1)}: {1.0 / frame_interval:.4g} rows a second; time.frame_rate_Hz says {frame_rate:g}"
         )
-    return placed
+    start = float(np.mean(time[first_rows] + 0.5 * frame_interval - frame_interval * frame_numbers[first_rows]))
+    times: Array = start + frame_interval * frame_numbers
+    rows_off_stamp = np.flatnonzero(np.abs(times - time - 0.5 * resolution) > 0.5 * resolution + 1.5 / frame_rate)
+    if len(rows_off_stamp):
+        raise InputError(
+            f"{where(int(rows_off_stamp[0]))}: counting frames at {1.0 / frame_interval:.4g} Hz leaves the stamps;"
+            " frames are missing, and stamps this coarse do not tell which: export finer ones"
+        )
+    return times
 
 
 def gap_remarks(time: Array) -> list[str]:
@@ -146,7 +153,10 @@ def gap_remarks(time: Array) -> list[str]:
     gaps = np.flatnonzero(steps > GAP_FACTOR * median_step)
     if not len(gaps):
         return [f"one row each {median_step:.4g} s"]
-    missing = int(np.sum(np.round(steps[gaps] / median_step) - 1))
+    missing_frames = int(np.sum(np.round(steps[gaps] / median_step) - 1))
     longest = gaps[int(np.argmax(steps[gaps]))]
     longest_gap = f"the longest {steps[longest]:.4g} s, {time[longest] - time[0]:.6g} s after the first row"
-    return [f"one row each {median_step:.4g} s", f"{len(gaps)} gaps, about {missing} frames missing, {longest_gap}"]
+    return [
+        f"one row each {median_step:.4g} s",
+        f"{len(gaps)} gaps, about {missing_frames} frames missing, {longest_gap}",
+    ]

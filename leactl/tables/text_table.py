@@ -1,4 +1,4 @@
-"""Reads text files of other programs as tables: detects encoding and delimiter, finds the headings, checks every row.
+"""Read text files of other programs as tables: detect encoding and delimiter, find the headings, check every row.
 
 The caller names the headings that it needs. The delimiter is the one that splits some line into cells with all of these
 headings, so that a file of another layout is refused.
@@ -20,21 +20,21 @@ from leactl.errors import InputError
 from leactl.regular_files import open_regular
 from leactl.tables.number_format import TableFormat
 
-MOST_CHARACTERS = 1 << 25  # of a file: 1.6 million rows of a camera, which take 1 GB of memory
+MOST_CHARACTERS = 1 << 25  # of a file: 1.6 million rows of a thermal camera's export, which take 1 GB of memory
 MOST_BYTES = 2 * MOST_CHARACTERS  # of a file in UTF-16
 MOST_PREAMBLE_LINES = 1000  # before the headings
 MOST_FAULTS = 5  # that one error lists
-HEAD_BYTES = 1 << 12  # from which an encoding is detected
-SHOWN_BYTES = 60  # before and after a byte that is not in the encoding
-# encodings in which a message shows such bytes: Western, Korean, Japanese and Chinese Windows
+HEAD_BYTES = 1 << 12  # first bytes of a file, from which its encoding is detected
+SHOWN_BYTES = 60  # bytes in a message before and after a byte that the encoding does not allow
+# encodings in which a message shows these bytes: Western, Korean, Japanese and Chinese Windows
 SHOWN_ENCODINGS = ("cp1252", "cp949", "shift_jis", "gbk")
 DELIMITERS = (",", ";", "\t", "|")
 DELIMITER_NAMES = {"\t": "tab"}
 BOMS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
 SEP_LINE = re.compile(r"\s*\"?sep=(.)\"?\s*\Z", re.IGNORECASE)
 UNIT_IN_BRACKETS = re.compile(r"\s*[\[(\uff08]([^\[\]()]*)[\])\uff09]\s*\Z")
-STAMPED = re.compile(r"[^:=]*[0-9]\s*:[0-9]")  # `PM 12:00:00`: a time, which is not an aside
-HALF_CELLS = re.compile(r"([^,]*[0-9],[0-9]+,)*[^,]*[0-9],[0-9]+,*\s*")  # `10:00:00,5,25,31`: decimal commas
+TIME_OF_DAY = re.compile(r"[^:=]*[0-9]\s*:[0-9]")  # `PM 12:00:00`: a time, which is not an aside
+SPLIT_DECIMALS = re.compile(r"([^,]*[0-9],[0-9]+,)*[^,]*[0-9],[0-9]+,*\s*")  # `10:00:00,5,25,31`: decimal commas
 ASIDE = re.compile(r"\s*([^\W\d][^:=]*?)\s*[:=]\s*(.*)", re.DOTALL)  # `Emissivity: 0.95`, `Time = 12:00`
 
 
@@ -54,7 +54,7 @@ class Table:
     path: Path
     headings: list[str]
     rows: list[list[str]] = field(default_factory=list)
-    # the last line of each row
+    # number of each row's last line in the file
     lines: array = field(default_factory=lambda: array("q"))  # type: ignore[type-arg]
     asides: list[Aside] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
@@ -79,7 +79,12 @@ class Table:
         return matches[0]
 
     def column(self, wanted: str) -> list[str]:
-        """Return the cells of the column with this name."""
+        """Return the cells of the column with this name.
+
+        Raises
+        ------
+        InputError : several columns have this name.
+        """
         index = self.headings.index(self.heading(wanted))
         return [row[index] for row in self.rows]
 
@@ -134,8 +139,11 @@ def open_text(path: Path, encoding: str, most_bytes: int | None = None, advice: 
                 # the error counts from the start of the block that was read last
                 position = stream.buffer.tell() - len(error.object) + error.start
                 stream.buffer.seek(max(position - SHOWN_BYTES, 0))
-                before, after = stream.buffer.read(min(position, SHOWN_BYTES)), stream.buffer.read(SHOWN_BYTES)
-                line = before.split(b"\n")[-1] + after.split(b"\n")[0].rstrip(b"\r")
+                bytes_before, bytes_after = (
+                    stream.buffer.read(min(position, SHOWN_BYTES)),
+                    stream.buffer.read(SHOWN_BYTES),
+                )
+                line = bytes_before.split(b"\n")[-1] + bytes_after.split(b"\n")[0].rstrip(b"\r")
                 readings = " or ".join(f"{line.decode(name, 'replace')!r} in {name}" for name in SHOWN_ENCODINGS)
                 finding = f"its line reads {readings}"
                 if position == 0 and line.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -144,8 +152,8 @@ def open_text(path: Path, encoding: str, most_bytes: int | None = None, advice: 
             except UnicodeError as error:  # UTF-16 without a byte order mark
                 raise InputError(f"{path}: not {encoding}: {error}{advice}") from None
     except OSError as error:
-        parts = "; export it in parts" if error.errno == errno.EFBIG else ""
-        raise InputError(f"{path}: {error.strerror or error}{parts}") from None
+        hint = "; export it in parts" if error.errno == errno.EFBIG else ""
+        raise InputError(f"{path}: {error.strerror or error}{hint}") from None
 
 
 def rows_of(
@@ -179,13 +187,13 @@ def read_text(path: Path, encoding: str | None) -> tuple[str, str]:
         detected.
     """
     with open_text(path, "latin-1", MOST_BYTES) as stream:  # latin-1 has a character for each byte
-        head = stream.read(HEAD_BYTES).encode("latin-1")
+        first_bytes = stream.read(HEAD_BYTES).encode("latin-1")
         has_even_size = stream.seek(0, SEEK_END) % 2 == 0
-    bom_encoding = next((name for mark, name in BOMS if head.startswith(mark)), None)
+    bom_encoding = next((name for mark, name in BOMS if first_bytes.startswith(mark)), None)
     is_either_utf16 = encoding == "utf-16" and bom_encoding is not None and bom_encoding.startswith("utf-16")
     if bom_encoding and encoding not in (None, bom_encoding) and not is_either_utf16:
         raise InputError(f"{path}: begins with the mark of {bom_encoding}; encoding says {encoding}")
-    chosen = bom_encoding or encoding or ("utf-16-le" if has_even_size and looks_like_utf16(head) else "utf-8")
+    chosen = bom_encoding or encoding or ("utf-16-le" if has_even_size and looks_like_utf16(first_bytes) else "utf-8")
     with open_text(path, chosen, MOST_BYTES, "" if bom_encoding or encoding else "; encoding decides") as stream:
         text = stream.read()
     if len(text) > MOST_CHARACTERS:
@@ -193,15 +201,15 @@ def read_text(path: Path, encoding: str | None) -> tuple[str, str]:
     text = text.removeprefix("\ufeff")
     if not text.strip("\0 \r\n\t"):
         content = f"holds nothing but {f'the mark of {bom_encoding}' if bom_encoding else 'blanks'}"
-        raise InputError(f"{path}: {content if head else 'empty'}")
+        raise InputError(f"{path}: {content if first_bytes else 'empty'}")
     if "\0" in text:
         raise InputError(f"{path}: line {text.count(chr(10), 0, text.index(chr(0))) + 1}: NUL in the text; damaged?")
     return text, chosen
 
 
-def looks_like_utf16(head: bytes) -> bool:
+def looks_like_utf16(first_bytes: bytes) -> bool:
     """Return whether many odd bytes and no even byte are NUL, as in Latin text in UTF-16 without a byte order mark."""
-    return head[1::2].count(0) > 0.4 * len(head) and head[0::2].count(0) == 0
+    return first_bytes[1::2].count(0) > 0.4 * len(first_bytes) and first_bytes[0::2].count(0) == 0
 
 
 def read_table(path: Path, form: TableFormat, wanted: Sequence[str], every_row: bool = False) -> Table:
@@ -217,16 +225,16 @@ def read_table(path: Path, form: TableFormat, wanted: Sequence[str], every_row: 
     """
     text, encoding = read_text(path, form.encoding)
     lines = text.splitlines(keepends=True)
-    declared = SEP_LINE.match(lines[0])
-    first = 1 if declared else 0
-    candidates = [form.delimiter] if form.delimiter else [declared[1]] if declared else [*DELIMITERS]
+    sep_line = SEP_LINE.match(lines[0])
+    first_line = 1 if sep_line else 0
+    candidates = [form.delimiter] if form.delimiter else [sep_line[1]] if sep_line else [*DELIMITERS]
     headers = [
         (delimiter, index)
         for delimiter in candidates
-        if (index := find_header(lines, first, delimiter, wanted)) is not None
+        if (index := find_header(lines, first_line, delimiter, wanted)) is not None
     ]
     if not headers:
-        raise InputError(f"{path}: {missing_headings(lines[first:], candidates, wanted)}")
+        raise InputError(f"{path}: {missing_headings(lines[first_line:], candidates, wanted)}")
     if len(headers) > 1:
         names = " or ".join(DELIMITER_NAMES.get(delimiter, repr(delimiter)) for delimiter, _ in headers)
         raise InputError(f"{path}: the headings are found with {names} between cells; delimiter decides")
@@ -237,7 +245,7 @@ def read_table(path: Path, form: TableFormat, wanted: Sequence[str], every_row: 
     table.remarks.append(
         f"{encoding}, {DELIMITER_NAMES.get(delimiter, repr(delimiter))} between cells, headings in line {header + 1}"
     )
-    for number, line in enumerate(lines[first:header], start=first + 1):
+    for number, line in enumerate(lines[first_line:header], start=first_line + 1):
         add_aside(table, number, strip_cells(line.split(delimiter)))
     read_rows(table, lines[header:], header, delimiter, every_row)
     if table.rows and not text.endswith(("\n", "\r")) and table.lines[-1] == len(lines):
@@ -262,21 +270,23 @@ def join_halves(lines: Sequence[str]) -> list[str]:
     """
     joined = []
     for line in lines:
-        plain = line.rstrip("\r\n")
-        cells = cells_of(plain, ",")
-        if '"' not in plain and HALF_CELLS.fullmatch(plain):
-            filled = strip_cells(cells)
-            cells = [",".join(filled[k : k + 2]) for k in range(0, len(filled), 2)] + cells[len(filled) :]
-        row = StringIO()
-        csv.writer(row, delimiter=";", lineterminator=line[len(plain) :]).writerow(cells)
-        joined.append(row.getvalue())
+        text = line.rstrip("\r\n")
+        cells = cells_of(text, ",")
+        if '"' not in text and SPLIT_DECIMALS.fullmatch(text):
+            filled_cells = strip_cells(cells)
+            cells = [",".join(filled_cells[k : k + 2]) for k in range(0, len(filled_cells), 2)] + cells[
+                len(filled_cells) :
+            ]
+        joined_line = StringIO()
+        csv.writer(joined_line, delimiter=";", lineterminator=line[len(text) :]).writerow(cells)
+        joined.append(joined_line.getvalue())
     return joined
 
 
-def find_header(lines: Sequence[str], first: int, delimiter: str, wanted: Sequence[str]) -> int | None:
-    """Return the index of the first line, from line `first` on, that has all wanted headings; None if there is none."""
+def find_header(lines: Sequence[str], first_line: int, delimiter: str, wanted: Sequence[str]) -> int | None:
+    """Return the index of the first line from `first_line` on that has all wanted headings; None if there is none."""
     wanted_names = set(wanted)
-    for index in range(first, min(len(lines), first + MOST_PREAMBLE_LINES)):
+    for index in range(first_line, min(len(lines), first_line + MOST_PREAMBLE_LINES)):
         if wanted_names <= {name for cell in cells_of(lines[index], delimiter) for name in column_names(cell.strip())}:
             return index
     return None
@@ -294,9 +304,9 @@ def missing_headings(lines: Sequence[str], candidates: Sequence[str], wanted: Se
     most_similar = max(
         rows, key=lambda cells: (sum(bool(column_names(cell) & {*wanted}) for cell in cells), len(cells)), default=[]
     )
-    has = ", ".join(map(repr, most_similar[:40])) or "no line that looks like headings"
+    present = ", ".join(map(repr, most_similar[:40])) or "no line that looks like headings"
     missing = [repr(name) for name in wanted if all(name not in column_names(cell) for cell in most_similar)]
-    return f"no line has the headings {', '.join(missing)}; the file has {has}"
+    return f"no line has the headings {', '.join(missing)}; the file has {present}"
 
 
 def read_rows(table: Table, lines: Sequence[str], lines_before: int, delimiter: str, every_row: bool) -> None:
@@ -313,11 +323,12 @@ def read_rows(table: Table, lines: Sequence[str], lines_before: int, delimiter: 
     reader = rows_of(table.path, lines, delimiter, lines_before=lines_before)
     last_line, cells = next(reader)
     headings = table.headings = strip_cells(cells)
-    if repeated := sorted({name for name in headings if name and headings.count(name) > 1}):
-        table.remarks.append(f"headings that stand twice: {', '.join(repeated)}")
+    if repeated_headings := sorted({name for name in headings if name and headings.count(name) > 1}):
+        table.remarks.append(f"headings that stand twice: {', '.join(repeated_headings)}")
     width, faults = len(headings), list[str]()
-    uneven: tuple[int, list[str]] | None = None  # a row of another width; no fault if the file ends in it
-    empty: list[tuple[int, list[str]]] = []  # rows without a number, which count if another row follows
+    # number of the last line and cells of a row of another width, which is no fault at the end of the file
+    uneven_row: tuple[int, list[str]] | None = None
+    rows_without_number: list[tuple[int, list[str]]] = []  # rows without a number, which count if another row follows
     for line, cells in reader:
         if line > last_line + 1:
             raise InputError(f"{table.path}: line {last_line + 1}: a quote opens a cell that does not end in its line")
@@ -325,33 +336,35 @@ def read_rows(table: Table, lines: Sequence[str], lines_before: int, delimiter: 
         if '"' in lines[line - lines_before - 1] and any('"' in cell for cell in cells):
             table.remarks.append(f"line {line}: a quote stands in a cell, whose cells may not end where they should")
         if len(cells) != width or not cells[0][:1].isdigit() or cells[0] == headings[0]:
-            filled = strip_cells(cells)
-            if not filled:
+            filled_cells = strip_cells(cells)
+            if not filled_cells:
                 if every_row and len(cells) >= width:
-                    empty.append((line, cells))
+                    rows_without_number.append((line, cells))
                 continue
-            if filled == headings:
+            if filled_cells == headings:
                 table.repeated_headers += 1
-                empty.clear()
+                rows_without_number.clear()
                 continue
-            if not STAMPED.match(filled[0]) and add_aside(table, line, filled):
+            if not TIME_OF_DAY.match(filled_cells[0]) and add_aside(table, line, filled_cells):
                 continue
-        if uneven is not None:
-            faults.append(width_fault(table.path, *uneven, width, delimiter))
-            uneven = None
+        if uneven_row is not None:
+            faults.append(width_fault(table.path, *uneven_row, width, delimiter))
+            uneven_row = None
             if len(faults) == MOST_FAULTS:
                 break
-        for number, row in (*empty, (line, cells)):
+        for number, row in (*rows_without_number, (line, cells)):
             if width_fault(table.path, number, row, width):
-                uneven = number, row
+                uneven_row = number, row
             else:
                 table.rows.append(row)
                 table.lines.append(number)
-        empty.clear()
-    if uneven is not None and len(uneven[1]) > width:
-        faults.append(width_fault(table.path, *uneven, width, delimiter))
-    elif uneven is not None:
-        table.remarks.append(f"the last row, line {uneven[0]}, ends after {len(uneven[1])} of {width} cells: left out")
+        rows_without_number.clear()
+    if uneven_row is not None and len(uneven_row[1]) > width:
+        faults.append(width_fault(table.path, *uneven_row, width, delimiter))
+    elif uneven_row is not None:
+        table.remarks.append(
+            f"the last row, line {uneven_row[0]}, ends after {len(uneven_row[1])} of {width} cells: left out"
+        )
     if faults:
         raise InputError(faults)
 
@@ -367,7 +380,7 @@ def strip_cells(cells: Sequence[str]) -> list[str]:
 def width_fault(path: Path, line: int, cells: Sequence[str], width: int, detected: str = "") -> str:
     """Return the message on a row with another number of cells than its table; empty if the number is right.
 
-    Empty cells at the end of a row do not count. If `detected` says that the delimiter was detected as a comma, the
+    Empty cells at the end of a row do not count. `detected` is the delimiter if it was detected; if it is a comma, the
     message says how to read decimal commas.
     """
     if len(cells) == width or len(strip_cells(cells)) <= width <= len(cells):

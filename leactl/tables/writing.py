@@ -1,4 +1,4 @@
-"""Writes text tables in the dialects of other programs, for the emulators of these programs."""
+"""Write text tables in the dialects of other programs, for the emulators of these programs."""
 
 import csv
 import math
@@ -13,14 +13,14 @@ from leactl.tables.number_format import TableFormat
 
 @dataclass(frozen=True)
 class TableDialect:
-    """How a program writes a table."""
+    """Format in which a program writes its tables."""
 
     encoding: str = "utf-8"
     byte_order_mark: bool = False
     delimiter: str = ","
     decimal: str = "."
     thousands: str = ""
-    decimals: int = 2
+    decimals: int = 2  # digits after the decimal mark
     missing: str = "--"  # text of a missing sample
     line_end: str = "\r\n"
     sep_line: bool = False  # whether `sep=,` stands before the table
@@ -49,9 +49,9 @@ class TableDialect:
         """Return the `sep=` line before the table; empty if the dialect has none."""
         return f"sep={self.delimiter}{self.line_end}" if self.sep_line else ""
 
-    def encoded(self, text: str, begins: bool) -> bytes:
-        """Return a part of the file as bytes; the first part (`begins`) gets the byte order mark of the dialect."""
-        mark = "\ufeff" if begins and self.byte_order_mark else ""
+    def encoded(self, text: str, is_first: bool) -> bytes:
+        """Return a part of the file as bytes; the first part (`is_first`) gets the byte order mark of the dialect."""
+        mark = "\ufeff" if is_first and self.byte_order_mark else ""
         return (mark + text).encode(self.encoding)
 
 

@@ -63,5 +63,5 @@ class RecorderEmulator:
         for k, row in enumerate(self._rows):
             stamp = [dialect.number(k * self._interval)] if timed else []
             lines.append(dialect.row([*stamp, *(dialect.number(value) for value in row)]))
-        new_export(self._folder, self._name).write_bytes(dialect.encoded("".join(lines), begins=True))
+        new_export(self._folder, self._name).write_bytes(dialect.encoded("".join(lines), is_first=True))
         self._saved = True

@@ -41,7 +41,7 @@ def series(
         values = [FROM_CELSIUS[unit](column[k]) for column in columns.values()]
         cells = [dialect.number(value) + ("" if math.isnan(value) else behind) for value in values]
         lines.append(dialect.row([stamp, *cells]))
-    return dialect.encoded("".join(lines), begins=True)
+    return dialect.encoded("".join(lines), is_first=True)
 
 
 def heading(
@@ -63,7 +63,7 @@ def matrix(
         lines += [line + dialect.line_end for line in text_lines]
         lines += [dialect.row([dialect.number(FROM_CELSIUS[unit](value)) for value in row]) for row in frame]
         lines.append(dialect.line_end)
-    return dialect.encoded("".join(lines), begins=True)
+    return dialect.encoded("".join(lines), is_first=True)
 
 
 class CameraEmulator:
@@ -120,7 +120,7 @@ class CameraEmulator:
                 self._file = new_export(self._folder, self._name)
                 text = self._head() + text
             with self._file.open("ab") as file:
-                file.write(self._dialect.encoded(text, begins=False))
+                file.write(self._dialect.encoded(text, is_first=False))
         except OSError:
             self._fails = True
 
