@@ -93,18 +93,18 @@ def read_cycle(
     if columns[1] == "angle_deg":
         angle = np.radians(angle)
     position, period = _cycle_positions(path, columns[0], phase, stride_time)
-    closing = position[-1] >= 1.0 - 1e-9
+    has_closing_row = position[-1] >= 1.0 - 1e-9
     for name, values in (("angle", angle), ("torque", torque)):
-        _expect_closed(path, name, values, closing, stride_time is not None)
-    if closing:
+        _expect_closed(path, name, values, has_closing_row, stride_time is not None)
+    if has_closing_row:
         position, angle, torque = position[:-1], angle[:-1], torque[:-1]
     harmonic_count = _allowed_harmonics(path, position, harmonics)
     notes = []
     if harmonic_count < harmonics:
         notes.append(f"{harmonic_count} harmonics of the angle are kept: its rows are too far apart for {harmonics}")
     grid_positions = np.arange(POINTS_PER_CYCLE) / POINTS_PER_CYCLE
-    series, slope, curvature, fitted = _series(position, angle, harmonic_count, grid_positions)
-    relative_residual, residual_notes = _residual_and_notes(position, angle, fitted, lines, harmonic_count)
+    series, slope, curvature, fitted_angle = _series(position, angle, harmonic_count, grid_positions)
+    relative_residual, residual_notes = _residual_and_notes(position, angle, fitted_angle, lines, harmonic_count)
     return Cycle(
         name=path.stem,
         period=period,
@@ -157,7 +157,7 @@ def _series(position: Array, values: Array, harmonics: int, grid_positions: Arra
 
 
 def _residual_and_notes(
-    position: Array, angle: Array, fitted: Array, lines: list[int], harmonics: int
+    position: Array, angle: Array, fit: Array, lines: list[int], harmonics: int
 ) -> tuple[float, list[str]]:
     """Return the root mean square residual of the series as a share of the angle's range, and notes if it is large.
 
@@ -166,18 +166,18 @@ def _residual_and_notes(
     angle_range = float(np.ptp(angle))
     if angle_range == 0.0:
         return 0.0, []
-    residual = float(np.sqrt(np.mean((fitted - angle) ** 2))) / angle_range
-    worst = int(np.argmax(np.abs(fitted - angle)))
+    residual = float(np.sqrt(np.mean((fit - angle) ** 2))) / angle_range
+    outlier = int(np.argmax(np.abs(fit - angle)))
     slip_text = ""
     # with fewer rows, the series fits the remaining rows whichever row is left out
-    if abs(fitted[worst] - angle[worst]) > NOTED_RESIDUAL * angle_range and len(position) > 2 * (2 * harmonics + 1):
-        other_rows = np.delete(np.arange(len(position)), worst)
-        value_at_worst, _slope, _curvature, refitted = _series(
-            position[other_rows], angle[other_rows], harmonics, position[[worst]]
+    if abs(fit[outlier] - angle[outlier]) > NOTED_RESIDUAL * angle_range and len(position) > 2 * (2 * harmonics + 1):
+        other_rows = np.delete(np.arange(len(position)), outlier)
+        value_at_outlier, _slope, _curvature, refit = _series(
+            position[other_rows], angle[other_rows], harmonics, position[[outlier]]
         )
-        if np.sqrt(np.mean((refitted - angle[other_rows]) ** 2)) < SLIP_RATIO * residual * angle_range:
-            distance = abs(float(value_at_worst[0] - angle[worst])) / angle_range
-            slip_text = f"; line {lines[worst]} alone is {distance:.0%} of it off what the others tell: is it a slip?"
+        if np.sqrt(np.mean((refit - angle[other_rows]) ** 2)) < SLIP_RATIO * residual * angle_range:
+            distance = abs(float(value_at_outlier[0] - angle[outlier])) / angle_range
+            slip_text = f"; line {lines[outlier]} alone is {distance:.0%} of it off what the others tell: is it a slip?"
     if residual <= NOTED_RESIDUAL and not slip_text:
         return residual, []
     return residual, [f"{harmonics} harmonics leave out {100.0 * residual:.1f} % of the angle's range (rms){slip_text}"]
@@ -214,8 +214,8 @@ def _cycle_positions(path: Path, name: str, phase: Array, stride_time: float | N
     return position, period
 
 
-def _expect_closed(path: Path, name: str, values: Array, closing: bool, stride_time_given: bool) -> None:
-    """Check that a quantity ends at the value at which it began.
+def _expect_closed(path: Path, name: str, values: Array, has_closing_row: bool, stride_time_given: bool) -> None:
+    """Raise InputError if a quantity does not end at the value at which it began.
 
     Without a closing row, the last row may differ from the first by twice the largest step between rows.
 
@@ -223,9 +223,9 @@ def _expect_closed(path: Path, name: str, values: Array, closing: bool, stride_t
     ------
     InputError : the difference is larger than allowed.
     """
-    steps = np.abs(np.diff(values))
+    row_steps = np.abs(np.diff(values))
     fraction = CLOSING_TOLERANCE if stride_time_given else CLOSING_TOLERANCE_WITHOUT_STRIDE_TIME
-    allowed = max(fraction * float(np.ptp(values)), 0.0 if closing else 2.0 * float(steps.max()))
+    allowed = max(fraction * float(np.ptp(values)), 0.0 if has_closing_row else 2.0 * float(row_steps.max()))
     distance = abs(float(values[-1] - values[0]))
     if distance > allowed:
         unit = "rad" if name == "angle" else "N*m"

@@ -1,4 +1,4 @@
-"""Compute the energy of an actuator over one cycle of a joint by its losses, and find the best transmission ratio.
+"""Compute the energy of an actuator over one cycle of a joint from its losses, and find the best transmission ratio.
 
     Kt i = tau / (N eta) + J N a + b N w + f sgn(w)      tau eta / N where the joint drives the actuator
     P = R(T) i^2 + Kt i N w
@@ -31,7 +31,7 @@ REQUIRED_FIELDS = (
 )
 RATIO_RANGE = (0.05, 5000.0)  # turns of the motor for one of the joint
 RATIO_COUNT = 300  # ratios tried, evenly on a logarithmic scale; as many again around the best of them
-REST_VELOCITY = 1e-9  # rad/s, up to which the joint is at rest
+REST_VELOCITY = 1e-9  # rad/s; a joint at a lower speed counts as at rest
 
 
 @dataclass(frozen=True)
@@ -112,9 +112,11 @@ class _RatioSweep:
     """One cycle at several ratios; arrays have the shape (ratios, points), or (ratios,) for temperatures."""
 
     def __init__(self, motor: MotorSheet, cycle: Cycle, ratios: Array, efficiency: float, supply: DriveSupply) -> None:
-        lacking = motor.missing(*REQUIRED_FIELDS)
-        if lacking:
-            raise InputError(f"motor '{motor.name}' has no {', '.join(lacking)}: its energy cannot be worked out")
+        missing_fields = motor.missing(*REQUIRED_FIELDS)
+        if missing_fields:
+            raise InputError(
+                f"motor '{motor.name}' has no {', '.join(missing_fields)}: its energy cannot be worked out"
+            )
         if not 0.0 < efficiency <= 1.0:
             raise InputError(f"efficiency {efficiency:g}: more than 0 and at most 1 was expected")
         if not 0.0 < supply.bus_voltage <= 1000.0:
@@ -130,15 +132,15 @@ class _RatioSweep:
         self._speed = ratio_column * cycle.velocity
         self._inertia = motor.rotor_inertia * ratio_column * cycle.acceleration
         self._drag = motor.viscous_damping * self._speed
-        self._coulomb = self._sticking(motor.coulomb_friction or 0.0)
+        self._coulomb = self._coulomb_torque(motor.coulomb_friction or 0.0)
         self._torque = self._load + self._inertia + self._drag + self._coulomb
         self._current = self._torque / motor.torque_constant
-        self._lost = (self._load - lossless_load) * self._speed
+        self._transmission_loss = (self._load - lossless_load) * self._speed
         self.temperature = self._temperatures()
         self.resistance = self._resistances()
-        self._judge()
+        self._compare_with_limits()
 
-    def _sticking(self, friction: float) -> Array:
+    def _coulomb_torque(self, friction: float) -> Array:
         """Return the Coulomb friction torque [N*m]; at rest, up to `friction` it opposes load and inertia."""
         at_rest = np.abs(self._cycle.velocity) < REST_VELOCITY
         holding_friction = -np.clip(self._load + self._inertia, -friction, friction)
@@ -173,7 +175,7 @@ class _RatioSweep:
         warm_resistance = motor.phase_resistance * resistance_ratio(self.temperature, coefficient, reference)
         return np.where(np.isnan(warm_resistance), motor.phase_resistance, warm_resistance)
 
-    def _judge(self) -> None:
+    def _compare_with_limits(self) -> None:
         """Compare voltages with the bus, line currents with the drive, and temperatures with the winding's limit."""
         motor, supply = self._motor, self._supply
         assert motor.back_emf_constant and motor.pole_pairs and motor.phase_inductance
@@ -211,7 +213,7 @@ class _RatioSweep:
             return float(period * heat_per_torque_squared * np.mean(torque_part[row] * torque))
 
         power = heat_per_torque_squared * torque**2 + torque * speed
-        beyond = self.over_voltage[row] | self.over_current[row]
+        is_beyond_limit = self.over_voltage[row] | self.over_current[row]
         temperature = float(self.temperature[row])
         return Stride(
             ratio=float(self._ratios[row]),
@@ -223,7 +225,7 @@ class _RatioSweep:
             joule_inertia=heat(self._inertia),
             viscous=float(period * np.mean(self._drag[row] * speed)),
             coulomb=None if motor.coulomb_friction is None else float(period * np.mean(self._coulomb[row] * speed)),
-            transmission=float(period * np.mean(self._lost[row])),
+            transmission=float(period * np.mean(self._transmission_loss[row])),
             winding_temperature=None if np.isnan(temperature) else temperature,
             peak_line_current=float(self.line[row].max()),
             peak_voltage=float(self.voltage[row].max()),
@@ -231,7 +233,9 @@ class _RatioSweep:
             over_voltage=int(self.over_voltage[row].sum()),
             over_current=int(self.over_current[row].sum()),
             too_hot=bool(self.too_hot[row]),
-            first_beyond_percent=100.0 * int(np.argmax(beyond)) / beyond.size if beyond.any() else None,
+            first_beyond_percent=100.0 * int(np.argmax(is_beyond_limit)) / is_beyond_limit.size
+            if is_beyond_limit.any()
+            else None,
         )
 
 

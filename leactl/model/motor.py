@@ -16,10 +16,10 @@ from leactl.model.winding import resistance_ratio
 
 Sheet = TypeVar("Sheet", bound=MotorSheet)
 RESISTANCE_RANGE = 1e-5, 1e3  # ohm
-MOST_WINDING_TIME = 1.0  # s, inductance over resistance; real actuators have 0.1 to 20 ms
+LONGEST_WINDING_TIME_CONSTANT = 1.0  # s, inductance over resistance; that of real actuators is 0.1 to 20 ms
 ROOM_TEMPERATURE = 25.0  # degC
 # largest ratio of two conventions of current: 3/2 of amplitudes and sqrt(3) of lines, 2.6 together
-MOST_CONVENTION_RATIO = 3.0
+LARGEST_CONVENTION_RATIO = 3.0
 
 
 class Motor(MotorSheet):
@@ -139,16 +139,16 @@ def _winding_faults(motor: MotorSheet, document: yamlfile.Document) -> Iterator[
     resistance, inductance = motor.phase_resistance, motor.phase_inductance
     if resistance is None:
         return
-    least, most = RESISTANCE_RANGE
-    if not least <= resistance <= most:
+    lowest, highest = RESISTANCE_RANGE
+    if not lowest <= resistance <= highest:
         yield document.fault(
-            ("phase_resistance",), f"{resistance:g} ohm: from {least:g} to {most:g} ohm was expected; is it in ohm?"
+            ("phase_resistance",), f"{resistance:g} ohm: from {lowest:g} to {highest:g} ohm was expected; is it in ohm?"
         )
-    elif inductance is not None and inductance / resistance > MOST_WINDING_TIME:
+    elif inductance is not None and inductance / resistance > LONGEST_WINDING_TIME_CONSTANT:
         yield document.fault(
             ("phase_inductance",),
             f"{inductance:g} H over {resistance:g} ohm is a time constant of {inductance / resistance:.3g} s, at most"
-            f" {MOST_WINDING_TIME:g} s was expected; is it in H?",
+            f" {LONGEST_WINDING_TIME_CONSTANT:g} s was expected; is it in H?",
         )
 
 
@@ -157,16 +157,16 @@ def _torque_constant_faults(motor: MotorSheet, document: yamlfile.Document) -> I
     constant, current, printed = motor.torque_constant, motor.continuous_current, motor.printed
     if constant is None:
         return
-    comparable = {"back_emf_constant": (motor.back_emf_constant, "V*s/rad")}
+    values_by_name = {"back_emf_constant": (motor.back_emf_constant, "V*s/rad")}
     if motor.phase_resistance is not None and printed.motor_constant is not None:
-        comparable["printed.motor_constant times sqrt(phase_resistance)"] = (
+        values_by_name["printed.motor_constant times sqrt(phase_resistance)"] = (
             printed.motor_constant * math.sqrt(motor.phase_resistance),
             "N*m/A",
         )
     if current is not None and printed.nominal_torque is not None:
-        comparable["printed.nominal_torque over continuous_current"] = (printed.nominal_torque / current, "N*m/A")
-    for name, (value, unit) in comparable.items():
-        if value is not None and not 1 / MOST_CONVENTION_RATIO <= constant / value <= MOST_CONVENTION_RATIO:
+        values_by_name["printed.nominal_torque over continuous_current"] = (printed.nominal_torque / current, "N*m/A")
+    for name, (value, unit) in values_by_name.items():
+        if value is not None and not 1 / LARGEST_CONVENTION_RATIO <= constant / value <= LARGEST_CONVENTION_RATIO:
             yield document.fault(
                 ("torque_constant",),
                 f"{constant:g} N*m/A is {constant / value:.3g} times {name}, {value:.3g} {unit}; both are one"
@@ -175,6 +175,12 @@ def _torque_constant_faults(motor: MotorSheet, document: yamlfile.Document) -> I
 
 
 def _document(name_or_path: str) -> yamlfile.Document:
+    """Read the file of a motor by its shipped name or its path, without checking its parameters.
+
+    Raises
+    ------
+    InputError : no such motor or file, or a file that is not YAML as `yamlfile` reads it.
+    """
     if name_or_path in motor_names():
         text = (resources.files("leactl.model") / "motors" / f"{name_or_path}.yaml").read_text(encoding="utf-8")
         return yamlfile.parse(text, f"{name_or_path}.yaml")

@@ -11,12 +11,16 @@ from pydantic import AfterValidator, Field, model_validator
 
 from leactl.yamlblock import Block
 
-LEAST_VALUE, MOST_VALUE = 1e-15, 1e15  # outside any machine's range in SI units, far from overflow of products
+SMALLEST_MAGNITUDE, LARGEST_MAGNITUDE = (
+    1e-15,
+    1e15,
+)  # outside any machine's range in SI units, far from overflow of products
 
 
 def _within_machine_range(value: float) -> float:
-    if value and not LEAST_VALUE <= abs(value) <= MOST_VALUE:
-        raise ValueError(f"{LEAST_VALUE:g} to {MOST_VALUE:g} was expected")
+    """Return the value; raise ValueError if it is not 0 and its magnitude is out of range."""
+    if value and not SMALLEST_MAGNITUDE <= abs(value) <= LARGEST_MAGNITUDE:
+        raise ValueError(f"{SMALLEST_MAGNITUDE:g} to {LARGEST_MAGNITUDE:g} was expected")
     return value
 
 
@@ -25,7 +29,7 @@ NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False), Af
 Percent = Annotated[float, Field(strict=True, ge=0, le=1000)]
 Tolerance = Annotated[float, Field(strict=True, ge=0, le=0.5)]
 Length = Annotated[float, Field(strict=True, gt=0, le=10)]
-MOST_DENSITY = 2e4  # kg/m^3: tungsten
+LARGEST_DENSITY = 2e4  # kg/m^3; tungsten has 1.93e4
 
 
 class ThermalSheet(Block):
@@ -117,10 +121,10 @@ class Body(Block):
     def _density_below_limit(self) -> Self:
         if self.mass is not None and self.outer_diameter is not None and self.length is not None:
             density = self.mass / (0.25 * math.pi * self.outer_diameter**2 * self.length)
-            if density > MOST_DENSITY:
+            if density > LARGEST_DENSITY:
                 raise ValueError(
                     f"mass {self.mass:g} in the room of its diameter and length is {density:.3g} kg/m^3, at most"
-                    f" {MOST_DENSITY:g} was expected; are they in kg and m?"
+                    f" {LARGEST_DENSITY:g} was expected; are they in kg and m?"
                 )
         return self
 

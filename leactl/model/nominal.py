@@ -18,7 +18,7 @@ from leactl.vocabulary.effect import effect_definition, effect_names
 from leactl.yamlblock import Block
 
 Angle = Annotated[float, Field(strict=True, ge=-10.0, le=10.0)]  # rad
-MOST_AMBIENT_OFFSET = 20.0  # K, of the logged ambient; a larger one means that it was logged at another place
+LARGEST_AMBIENT_OFFSET = 20.0  # K, from the logged to the true ambient; a larger one means a sensor at another place
 
 
 class BenchModel(Block):
@@ -56,9 +56,9 @@ class LoadModel(Block):
         ----------
         viscous, coulomb : values of the test actuator, used if the load's are None; None counts as 0.
         """
-        pairs = (self.viscous_damping, viscous), (self.coulomb_friction, coulomb)
+        value_pairs = (self.viscous_damping, viscous), (self.coulomb_friction, coulomb)
         damping, friction = (
-            test_value or 0.0 if load_value is None else load_value for load_value, test_value in pairs
+            test_value or 0.0 if load_value is None else load_value for load_value, test_value in value_pairs
         )
         return damping, friction
 
@@ -122,10 +122,10 @@ class EffectEntry(Block):
     def _known(self) -> "EffectEntry":
         if self.effect not in effect_names():
             raise ValueError(f"effect '{self.effect}' is not known; known: {', '.join(effect_names())}")
-        known = effect_definition(self.effect).parameters
+        parameter_names = effect_definition(self.effect).parameters
         for name in self.parameters:
-            if name not in known:
-                raise ValueError(f"effect {self.effect} has no parameter '{name}'; it has {', '.join(known)}")
+            if name not in parameter_names:
+                raise ValueError(f"effect {self.effect} has no parameter '{name}'; it has {', '.join(parameter_names)}")
         return self
 
 
@@ -150,7 +150,7 @@ class Model(MotorSheet):
     reference_temperature: Annotated[float, Field(strict=True, ge=-50, le=150)] = 25.0  # degC
     thermal: Thermal | None = None
     # K, true ambient minus the logged one
-    ambient_offset: Annotated[float, Field(strict=True, ge=-MOST_AMBIENT_OFFSET, le=MOST_AMBIENT_OFFSET)] = 0.0
+    ambient_offset: Annotated[float, Field(strict=True, ge=-LARGEST_AMBIENT_OFFSET, le=LARGEST_AMBIENT_OFFSET)] = 0.0
     bench: BenchModel = BenchModel()
     load: LoadModel = LoadModel()
     drive: DriveModel | None = None
@@ -166,12 +166,12 @@ class Model(MotorSheet):
         if self.feedforward is None:
             return self
         if conflicting_keys := [key for key in KEYS_IN_NEWTON_METRES if getattr(self, key) is not None]:
-            surplus = ", ".join(conflicting_keys)
-            text = f"stands beside `feedforward:`, whose torques are told in volts; leave out {surplus}"
-            raise self.faulty([((conflicting_keys[0],), text)])
+            surplus_keys = ", ".join(conflicting_keys)
+            message = f"stands beside `feedforward:`, whose torques are told in volts; leave out {surplus_keys}"
+            raise self.faulty([((conflicting_keys[0],), message)])
         if self.load.type != "none":
-            text = "its torque is in N*m, those of `feedforward:` are in V; leave it out, gravity_load tells it in V"
-            raise self.faulty([(("load",), text)])
+            message = "its torque is in N*m, those of `feedforward:` are in V; leave it out, gravity_load tells it in V"
+            raise self.faulty([(("load",), message)])
         object.__setattr__(self, "rotor_inertia", self.feedforward.kA)
         object.__setattr__(self, "coulomb_friction", self.feedforward.kS)
         return self

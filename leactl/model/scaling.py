@@ -21,7 +21,7 @@ RADIUS_EXPONENTS = {
     "mass": 1.0,
 }
 """Exponent of the radius for each figure; at equal current, Joule heat and cooling area both grow with the radius."""
-SMALLEST_RADIUS, LARGEST_RADIUS = 1e-3, 10.0  # m; a radius that was given in m instead of mm is below
+SMALLEST_RADIUS, LARGEST_RADIUS = 1e-3, 10.0  # m; a radius that a person gave in m instead of mm is smaller
 UNITS = {
     "torque_constant": "N*m/A",
     "phase_resistance": "ohm",
@@ -87,4 +87,5 @@ def scaled_figures(motor: MotorSheet, radius: float, known_radius: float | None 
 
 
 def _product(first: float | None, second: float | None) -> float | None:
+    """Return the product; None if a factor is not known."""
     return None if first is None or second is None else first * second

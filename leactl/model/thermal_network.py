@@ -20,7 +20,7 @@ EVEN_STEP_TOLERANCE = 1e-6  # relative difference up to which steps count as equ
 
 @dataclass(frozen=True)
 class Conductances:
-    """The network by its conductances; a conductance is zero where the resistance is infinite."""
+    """The network in terms of conductances; a conductance is zero if the resistance is infinite."""
 
     winding_ambient: float  # W/K
     winding_housing: float  # W/K
@@ -47,7 +47,7 @@ class Conductances:
         """
         wa, wh, ha = self.winding_ambient, self.winding_housing, self.housing_ambient
         roots = np.sqrt([self.winding_capacitance, self.housing_capacitance])
-        # C^-1/2 K C^-1/2 is symmetric: real rates, orthogonal modes
+        # C^-1/2 K C^-1/2 is symmetric, so that its rates are real and its modes orthogonal
         rates, vectors = np.linalg.eigh(np.array([[wa + wh, -wh], [-wh, wh + ha]]) / np.outer(roots, roots))
         return -rates, vectors / roots[:, None], vectors.T * roots
 
@@ -84,7 +84,7 @@ class ThermalNetwork:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Joule heat of the winding and ambient temperature, both linear between their stamps.
+    """Inputs of the network: Joule heat of the winding and ambient temperature, both linear between their stamps.
 
     `begin` and `end` are the heat [W] at both ends of each interval; they are equal where the heat is constant.
     """
@@ -101,25 +101,30 @@ def temperatures_and_rates_at(network: Conductances, drive: Drive, stamps: Array
     The winding comes first. Both nodes are at zero at the drive's first stamp.
     """
     rates, shapes, _ = network.modes()
-    interval = np.clip(np.searchsorted(drive.time, stamps, side="right") - 1, 0, len(drive.time) - 2)
-    elapsed = stamps - drive.time[interval]
-    share = elapsed / np.diff(drive.time)[interval]
-    forced = np.empty((2, len(stamps)))
-    modes, changes = np.empty_like(forced), np.empty_like(forced)
+    interval_of_stamp = np.clip(np.searchsorted(drive.time, stamps, side="right") - 1, 0, len(drive.time) - 2)
+    elapsed = stamps - drive.time[interval_of_stamp]
+    share_of_interval = elapsed / np.diff(drive.time)[interval_of_stamp]
+    mode_buffer = np.empty((2, len(stamps)))
+    modes, mode_rates = np.empty_like(mode_buffer), np.empty_like(mode_buffer)
     for index, rate in enumerate(rates):
         heat_gain = shapes[0, index]
         ambient_gain = heat_gain * network.winding_ambient + shapes[1, index] * network.housing_ambient
         ambient_drive = ambient_gain * drive.ambient
-        begin, end = heat_gain * drive.begin + ambient_drive[:-1], heat_gain * drive.end + ambient_drive[1:]
-        at_drive_stamps = first_order_response(rate, drive.time, begin, end)
-        drive_now = begin[interval] + share * (end - begin)[interval]
-        modes[index] = at_drive_stamps[interval] * np.exp(rate * elapsed) + first_order_gain(
-            rate, elapsed, begin[interval], drive_now
+        drive_at_begin, drive_at_end = (
+            heat_gain * drive.begin + ambient_drive[:-1],
+            heat_gain * drive.end + ambient_drive[1:],
         )
-        changes[index] = rate * modes[index] + drive_now
+        at_drive_stamps = first_order_response(rate, drive.time, drive_at_begin, drive_at_end)
+        drive_at_stamps = (
+            drive_at_begin[interval_of_stamp] + share_of_interval * (drive_at_end - drive_at_begin)[interval_of_stamp]
+        )
+        modes[index] = at_drive_stamps[interval_of_stamp] * np.exp(rate * elapsed) + first_order_gain(
+            rate, elapsed, drive_at_begin[interval_of_stamp], drive_at_stamps
+        )
+        mode_rates[index] = rate * modes[index] + drive_at_stamps
     # no matrix product: for so small a matrix, its threads wait longer for each other than they compute
     first_mode, second_mode = shapes[:, :1], shapes[:, 1:]
-    return first_mode * modes[0] + second_mode * modes[1], first_mode * changes[0] + second_mode * changes[1]
+    return first_mode * modes[0] + second_mode * modes[1], first_mode * mode_rates[0] + second_mode * mode_rates[1]
 
 
 def remaining_rise(network: Conductances, after: Array) -> Array:
@@ -134,21 +139,21 @@ def first_order_response(rate: float, time: Array, begin: Array, end: Array) -> 
     `rate` is below zero [1/s], `time` has n stamps [s]; returns the solution at the stamps, shape (n,).
     """
     steps = np.diff(time)
-    out = np.zeros(len(time))
+    response = np.zeros(len(time))
     if np.ptp(steps) < EVEN_STEP_TOLERANCE * steps[0]:
         step = float(np.mean(steps))
-        out[1:] = lfilter([1.0], [1.0, -np.exp(rate * step)], first_order_gain(rate, np.array([step]), begin, end))
-        return out
+        response[1:] = lfilter([1.0], [1.0, -np.exp(rate * step)], first_order_gain(rate, np.array([step]), begin, end))
+        return response
     gains, start = first_order_gain(rate, steps, begin, end), 0
     while start < len(steps):
         stop = max(start + 1, int(np.searchsorted(time, time[start] - BLOCK_TIME_CONSTANTS / rate)) - 1)
         if stop == start + 1:
-            out[stop] = np.exp(rate * steps[start]) * out[start] + gains[start]
+            response[stop] = np.exp(rate * steps[start]) * response[start] + gains[start]
         else:
             decay = np.exp(rate * (time[start + 1 : stop + 1] - time[start]))
-            out[start + 1 : stop + 1] = decay * (out[start] + np.cumsum(gains[start:stop] / decay))
+            response[start + 1 : stop + 1] = decay * (response[start] + np.cumsum(gains[start:stop] / decay))
         start = stop
-    return out
+    return response
 
 
 def first_order_gain(rate: float, duration: Array, begin: Array, end: Array) -> Array:
@@ -157,6 +162,6 @@ def first_order_gain(rate: float, duration: Array, begin: Array, end: Array) -> 
     `rate` is below zero [1/s]; `duration` [s], `begin` and `end` have one entry for each interval.
     """
     exponent = np.minimum(rate * duration, -1e-300)  # avoids 0 / 0 for a duration of zero, whose change is zero
-    level = np.expm1(exponent) / exponent
-    slope = (level - 1.0) / exponent
-    return np.asarray(duration * ((level - slope) * begin + slope * end), np.float64)
+    total_weight = np.expm1(exponent) / exponent
+    end_weight = (total_weight - 1.0) / exponent
+    return np.asarray(duration * ((total_weight - end_weight) * begin + end_weight * end), np.float64)

@@ -89,11 +89,14 @@ def voltage_ceiling(bus_voltage: float, winding: WindingType) -> float:
 def resistance_ratio(temperature: Temperature, coefficient: float, reference: float) -> Temperature:
     """Return the ratio of a winding's resistance at a temperature to that at the reference temperature.
 
+    Parameters
+    ----------
     temperature, reference : degC.
-    coefficient : of the resistance, 1/K; it holds at the reference temperature.
+    coefficient : temperature coefficient of the resistance at the reference temperature [1/K].
     """
     return 1.0 + coefficient * (temperature - reference)
 
 
 def _times(value: float | None, factor: float) -> float | None:
+    """Return the product; None if the value is not known."""
     return None if value is None else value * factor

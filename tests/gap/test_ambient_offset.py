@@ -9,7 +9,7 @@ from leactl.gap.diagnosis import CalibratedParameter
 from leactl.gap.replay import replay
 from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.parameters import calibrated_parameters, is_at_bound, with_calibration
-from leactl.model.nominal import MOST_AMBIENT_OFFSET
+from leactl.model.nominal import LARGEST_AMBIENT_OFFSET
 from tests.gap.synthetic import model, record
 
 OFFSET = -2.0  # K
@@ -58,7 +58,7 @@ def test_an_offset_that_no_ambient_has_is_at_its_bound(heated):
     farther = {("ambient_temperature", "bench"): heated.slow.values["ambient_temperature", "bench"] + 60.0}
     away = replace(heated, slow=replace(heated.slow, values=heated.slow.values | farther))
     offset, parameters = told(away, model())
-    assert offset.fitted == -MOST_AMBIENT_OFFSET
+    assert offset.fitted == -LARGEST_AMBIENT_OFFSET
     assert is_at_bound(offset)
-    assert with_calibration(model(), parameters).ambient_offset == -MOST_AMBIENT_OFFSET
+    assert with_calibration(model(), parameters).ambient_offset == -LARGEST_AMBIENT_OFFSET
     assert not is_at_bound(CalibratedParameter("ambient_offset", 0.0, OFFSET, 0.1, "K"))

@@ -12,7 +12,7 @@ from leactl.gap.diagnosis import CalibratedParameter, EffectParameter
 from leactl.gap.search.effect_regression import PRIORS, Evidence
 from leactl.gap.search.regression import Candidate, Fit, disagreement
 from leactl.gap.search.stamp_fit import STAMP_DELAY_STD
-from leactl.model.nominal import MOST_AMBIENT_OFFSET, EffectEntry, Model, as_mapping
+from leactl.model.nominal import LARGEST_AMBIENT_OFFSET, EffectEntry, Model, as_mapping
 from leactl.vocabulary.effect import effect_definition
 
 Array = npt.NDArray[np.float64]
@@ -84,7 +84,7 @@ def calibrated_parameters(evidence: Evidence, fit: Fit) -> tuple[CalibratedParam
         if nominal is None:
             continue
         if parameter == "ambient_offset":
-            offset = float(np.clip(nominal + change - bias, -MOST_AMBIENT_OFFSET, MOST_AMBIENT_OFFSET))
+            offset = float(np.clip(nominal + change - bias, -LARGEST_AMBIENT_OFFSET, LARGEST_AMBIENT_OFFSET))
             parameters.append(CalibratedParameter(parameter, nominal, offset, std, UNITS[parameter]))
             continue
         std = math.hypot(std, MODEL_ERROR.get(parameter, LEAST_MODEL_ERROR))
@@ -139,7 +139,7 @@ def is_at_bound(item: CalibratedParameter) -> bool:
     A feedforward is a fit itself, and its kS and kA may contain all that it leaves out: they have no bound.
     """
     if item.parameter == "ambient_offset":
-        return abs(item.fitted) >= MOST_AMBIENT_OFFSET
+        return abs(item.fitted) >= LARGEST_AMBIENT_OFFSET
     if item.parameter in ("feedforward.kS", "feedforward.kA") or not item.nominal:
         return False
     factor = item.fitted / item.nominal
