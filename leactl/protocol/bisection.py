@@ -21,7 +21,7 @@ from leactl.protocol.setpointkeys import CURRENT, SPELLINGS
 from leactl.protocol.steps import BisectStep, ProtocolStep
 from leactl.protocol.timeline import Timeline
 
-MAX_HALVINGS = 32  # the setpoint of a drive has at most 32 bits
+MAX_HALVINGS = 32  # more would be finer than a drive's setpoint, which has at most 32 bits
 
 
 def bisect(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
@@ -29,7 +29,7 @@ def bisect(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     content: BisectStep = step.content
     times = content.hold_s, content.settle_s
     timeline.check_times(step, ("settle_s", "hold_s"), *times)
-    until = criterion(timeline, step, ("criterion", "hold_s"), times)
+    trial_criterion = criterion(timeline, step, ("criterion", "hold_s"), times)
     mode = timeline.roles[content.role].mode
     search = Search(
         content.name,
@@ -42,19 +42,19 @@ def bisect(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     )
     if timeline.modes_known and SPELLINGS.get(mode) is not CURRENT:
         message = f"{content.role} is {'off' if mode is Mode.OFF else f'in {mode} mode'} at this point"
-        timeline.complain(step, "role", f"{message}; current or torque_profile was expected")
+        timeline.add_fault(step, "role", f"{message}; current or torque_profile was expected")
         return
     if not _is_valid(timeline, step, search):
         return
     rest_s = max(content.rest_s, 1.0 / timeline.rate_hz)
-    timeline.foresee(step, 2 * search.trials, search.trials * (content.hold_s + rest_s))
+    timeline.check_limits(step, 2 * search.trials, search.trials * (content.hold_s + rest_s))
     parameters: dict[str, float | str] = {"role": content.role, "repeat": pass_number}
     ends = search.first, search.second
-    between = SoughtSetpoint(min(ends), max(ends))
+    sought_setpoint = SoughtSetpoint(min(ends), max(ends))
     for number in range(1, search.trials + 1):
         if number == len(ends) + 1:
             timeline.add(step, When(StepOutcome(search.name, BISECTING)))
-        profile = between if number > len(ends) else Constant(ends[number - 1])
+        profile = sought_setpoint if number > len(ends) else Constant(ends[number - 1])
         timeline.segment(
             step,
             content.name,
@@ -62,7 +62,7 @@ def bisect(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
             {content.role: profile},
             {**parameters, "trial": number},
             content.settle_s,
-            until,
+            trial_criterion,
             SearchTrial(search, number),
         )
         timeline.hold(step, "rest", (rest_s, 0.0), content.role, 0.0, parameters)
@@ -70,16 +70,16 @@ def bisect(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
 
 
 def _is_valid(timeline: Timeline, step: ProtocolStep, search: Search) -> bool:
-    """Check the ends and the resolution of a search, and add faults to the timeline; True if there are none."""
+    """Return whether the ends and the resolution of a search are valid; if not, add a fault to the timeline."""
     span = abs(search.second - search.first)
     if not span > 0.0:
-        timeline.complain(step, "to_current_A", f"{search.second:g} A: another end than from_current_A was expected")
+        timeline.add_fault(step, "to_current_A", f"{search.second:g} A: another end than from_current_A was expected")
     elif search.resolution >= span:
         message = f"{search.resolution:g} A: less than the {span:g} A between the ends was expected"
-        timeline.complain(step, "resolution_A", message)
+        timeline.add_fault(step, "resolution_A", message)
     elif span / search.resolution > 2.0**MAX_HALVINGS or search.halvings > MAX_HALVINGS:
         message = f"{search.resolution:g} A: at least {span / 2.0**MAX_HALVINGS:.3g} A was expected"
-        timeline.complain(step, "resolution_A", message)
+        timeline.add_fault(step, "resolution_A", message)
     else:
         return True
     return False

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 RATE_HZ = 50
 HOLD_NAME = "held"  # name of the step in which drives turn and apply torque
-SWING_FREQUENCIES_HZ = (2.0, 2.4)  # the torque keeps its sign for 0.25 s: no interlock sees a lasting contradiction
-SWING_S = 2.5  # whole periods of both frequencies: the beat begins and ends at 0 and returns the shaft to its angle
+SWING_FREQUENCIES_HZ = (2.0, 2.4)  # torque keeps its sign for 0.25 s, too short for an interlock on contradictions
+SWING_S = 2.5  # whole periods of both frequencies: the beat begins and ends at 0, and the shaft ends where it began
 REST_S = 0.5  # time in which friction stops the shaft before the other drive begins
 TARE_SAMPLES = 100  # 2 s, as in torque-constant
 GENTLE_RATES = {Mode.CURRENT: 5.0, Mode.VELOCITY: 10.0, Mode.ANGLE: 0.5}  # A/s, rad/s^2, rad/s: slow enough for a hand
@@ -60,20 +60,20 @@ class Jog(NamedTuple):
         if faults:
             raise InputError(faults)
 
-    def steps(self, stands_at: float = 0.0) -> list[str]:
-        """Return the protocol's steps; `stands_at` is the present shaft angle [rad], added to an angle setpoint."""
+    def steps(self, present_angle: float = 0.0) -> list[str]:
+        """Return the protocol's steps; `present_angle` is the present shaft angle [rad], added to an angle setpoint."""
         keys = SPELLINGS[self.mode]
         rate = f"{keys.rate}: {self.rate or GENTLE_RATES[self.mode]!r}"
-        goal = self.value + (stands_at if self.mode is Mode.ANGLE else 0.0)
-        moves = [
-            f"ramp: {{role: {self.role}, to_{keys.setpoint}: {goal!r}, {rate}}}",
-            f"hold: {{name: jog, role: {self.role}, {keys.setpoint}: {goal!r}, duration_s: {self.hold_s!r}}}",
+        setpoint = self.value + (present_angle if self.mode is Mode.ANGLE else 0.0)
+        steps = [
+            f"ramp: {{role: {self.role}, to_{keys.setpoint}: {setpoint!r}, {rate}}}",
+            f"hold: {{name: jog, role: {self.role}, {keys.setpoint}: {setpoint!r}, duration_s: {self.hold_s!r}}}",
         ]
         if self.mode is Mode.ANGLE:
-            moves.insert(0, f"set: {{role: {self.role}, {keys.setpoint}: {stands_at!r}}}")
+            steps.insert(0, f"set: {{role: {self.role}, {keys.setpoint}: {present_angle!r}}}")
         else:
-            moves.append(f"ramp: {{role: {self.role}, to_{keys.setpoint}: 0, {rate}}}")
-        return [f"mode: {{{self.role}: {self.mode}}}", *moves, f"mode: {{{self.role}: off}}"]
+            steps.append(f"ramp: {{role: {self.role}, to_{keys.setpoint}: 0, {rate}}}")
+        return [f"mode: {{{self.role}: {self.mode}}}", *steps, f"mode: {{{self.role}: off}}"]
 
 
 def reading_steps(duration_s: float) -> list[str]:
@@ -111,19 +111,23 @@ def motion_steps(setup: str, roles: Collection[str], velocity: float, current: f
     ------
     InputError : the set-up allows no drive to move.
     """
-    pulls = "test" in roles and (setup == "locked" or (setup == "coupled" and "load" in roles))
-    turns = [] if setup in ("locked", "heated") else [role for role in roles if not (pulls and role == "test")]
-    modes = {role: Mode.VELOCITY for role in turns} | ({"test": Mode.CURRENT} if pulls else {})
+    test_applies_torque = "test" in roles and (setup == "locked" or (setup == "coupled" and "load" in roles))
+    turning_roles = (
+        []
+        if setup in ("locked", "heated")
+        else [role for role in roles if not (test_applies_torque and role == "test")]
+    )
+    modes = {role: Mode.VELOCITY for role in turning_roles} | ({"test": Mode.CURRENT} if test_applies_torque else {})
     if not modes:
         raise InputError(f"set-up '{setup}' with drives {', '.join(roles) or 'none'}: nothing could be moved")
-    moves = []
+    ramps = []
     for role, mode in modes.items():
-        keys, goal = SPELLINGS[mode], velocity if mode is Mode.VELOCITY else current
-        moves.append(f"ramp: {{role: {role}, to_{keys.setpoint}: {goal!r}, {keys.rate}: {GENTLE_RATES[mode]!r}}}")
-        hold = f"hold: {{name: {HOLD_NAME}, role: {role}, {keys.setpoint}: {goal!r}, duration_s: {hold_s!r}}}"
-    engaged = ", ".join(f"{role}: {mode}" for role, mode in modes.items())
-    released = ", ".join(f"{role}: off" for role in modes)
-    return [f"mode: {{{engaged}}}", *moves, hold, f"mode: {{{released}}}"]
+        keys, setpoint = SPELLINGS[mode], velocity if mode is Mode.VELOCITY else current
+        ramps.append(f"ramp: {{role: {role}, to_{keys.setpoint}: {setpoint!r}, {keys.rate}: {GENTLE_RATES[mode]!r}}}")
+        hold = f"hold: {{name: {HOLD_NAME}, role: {role}, {keys.setpoint}: {setpoint!r}, duration_s: {hold_s!r}}}"
+    modes_text = ", ".join(f"{role}: {mode}" for role, mode in modes.items())
+    off_text = ", ".join(f"{role}: off" for role in modes)
+    return [f"mode: {{{modes_text}}}", *ramps, hold, f"mode: {{{off_text}}}"]
 
 
 def swinging_steps(currents: Mapping[str, float], tare: bool) -> list[str]:
@@ -132,14 +136,14 @@ def swinging_steps(currents: Mapping[str, float], tare: bool) -> list[str]:
     A single sine that starts at zero would leave a shaft of little friction turning; after the beat the shaft is at its
     first angle. `currents` has the amplitude of the beat by role [A].
     """
-    current = SPELLINGS[Mode.CURRENT].setpoint
-    swing = f"frequencies_Hz: {list(SWING_FREQUENCIES_HZ)!r}, duration_s: {SWING_S!r}"
+    current_key = SPELLINGS[Mode.CURRENT].setpoint
+    signal_keys = f"frequencies_Hz: {list(SWING_FREQUENCIES_HZ)!r}, duration_s: {SWING_S!r}"
     steps = tare_steps() if tare else []
     for role, amplitude in currents.items():
         steps += [
             f"mode: {{{role}: {Mode.CURRENT}}}",
-            f"signal: {{role: {role}, kind: multisine, amplitude_A: {amplitude!r}, {swing}}}",
-            f"set: {{role: {role}, {current}: 0}}",
+            f"signal: {{role: {role}, kind: multisine, amplitude_A: {amplitude!r}, {signal_keys}}}",
+            f"set: {{role: {role}, {current_key}: 0}}",
             f"mode: {{{role}: off}}",
             f"hold: {{name: rest, duration_s: {REST_S!r}}}",
         ]
@@ -161,6 +165,6 @@ def plan_of(name: str, setup: str, steps: Sequence[str]) -> Plan:
     ------
     InputError : the same faults as for a protocol file with this text.
     """
-    head = f"name: {name}\ntitle: By hand\nsetup: {setup}\nrate_Hz: {RATE_HZ}\nsteps:\n"
-    text = head + "".join(f"  - {step}\n" for step in steps)
+    head_text = f"name: {name}\ntitle: By hand\nsetup: {setup}\nrate_Hz: {RATE_HZ}\nsteps:\n"
+    text = head_text + "".join(f"  - {step}\n" for step in steps)
     return expand_document(yamlfile.parse(text, name), Path(), {}, "")

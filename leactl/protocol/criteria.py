@@ -11,7 +11,7 @@ from leactl.quantities import UNITS
 def criterion(
     timeline: Timeline, step: ProtocolStep, keys: tuple[str, str], times: tuple[float, float], *, required: bool = False
 ) -> Until:
-    """Return the criterion of a step, and add faults to the timeline.
+    """Return the criterion of a step, and add its faults to the timeline.
 
     Parameters
     ----------
@@ -21,14 +21,16 @@ def criterion(
     """
     block: CriterionBlock = getattr(step.content, keys[0])
     low, high = bounds(timeline, step, block, (keys[0],), "/s" if block.statistic == "slope" else "")
-    where = keys[0], "window_s"
+    window_path = keys[0], "window_s"
     if times[1] + block.window_s > times[0]:
         message = f"settle_s and a window of {block.window_s:g} s are longer than {keys[1]}; less was expected"
-        timeline.complain(step, where, message)
-    least = FEWEST_WINDOW_SAMPLES / timeline.rate_hz
-    if block.window_s < least * (1 - 1e-9):
-        message = f"{block.window_s:g} s: at least {FEWEST_WINDOW_SAMPLES} cycles ({least:g} s) were expected"
-        timeline.complain(step, where, message)
+        timeline.add_fault(step, window_path, message)
+    shortest_window_s = FEWEST_WINDOW_SAMPLES / timeline.rate_hz
+    if block.window_s < shortest_window_s * (1 - 1e-9):
+        message = (
+            f"{block.window_s:g} s: at least {FEWEST_WINDOW_SAMPLES} cycles ({shortest_window_s:g} s) were expected"
+        )
+        timeline.add_fault(step, window_path, message)
     return Until(block.quantity, block.role, block.statistic, block.window_s, low, high, required)
 
 
@@ -36,30 +38,30 @@ def bounds(
     timeline: Timeline,
     step: ProtocolStep,
     content: WaitStep | CriterionBlock | WhenStep,
-    under: tuple[str, ...] = (),
-    per: str = "",
+    path: tuple[str, ...] = (),
+    unit_suffix: str = "",
 ) -> tuple[float, float]:
-    """Return the lowest and highest value that meet a criterion, infinite if open, and add faults to the timeline.
+    """Return the lowest and highest value that meet a criterion, infinite if open, and add its faults to the timeline.
 
     Parameters
     ----------
-    under : path of keys from the step to the criterion.
-    per : suffix of the unit, "/s" for a slope.
+    path : path of keys from the step to the criterion.
+    unit_suffix : suffix of the unit, "/s" for a slope.
     """
     unit = UNITS.get(content.quantity or "")
     if unit is None:
         message = f"{content.quantity!r}: one of {', '.join(UNITS)} was expected"
-        timeline.complain(step, (*under, "quantity"), message)
-    elif content.unit != unit + per:
-        timeline.complain(step, (*under, "unit"), f"{content.unit!r}: {content.quantity} is in {unit + per}")
+        timeline.add_fault(step, (*path, "quantity"), message)
+    elif content.unit != unit + unit_suffix:
+        timeline.add_fault(step, (*path, "unit"), f"{content.unit!r}: {content.quantity} is in {unit + unit_suffix}")
     low = -math.inf if content.above is None else content.above
     high = math.inf if content.below is None else content.below
     if math.isinf(low) and math.isinf(high):
-        timeline.complain(step, (*under, "below"), "below, above or both were expected")
+        timeline.add_fault(step, (*path, "below"), "below, above or both were expected")
     if low > high:
         message = f"no value is below {high:g} and above {low:g}"
-        if under:
-            timeline.complain(step, (*under, "below"), message)
+        if path:
+            timeline.add_fault(step, (*path, "below"), message)
         else:
-            timeline.complain_of_either(step, ("below", "above"), message)
+            timeline.add_fault_of_either(step, ("below", "above"), message)
     return low, high

@@ -19,21 +19,25 @@ def weigh(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     """Write the actions of a `weigh` step; `pass_number` counts the passes of the enclosing repeats."""
     content: WeighStep = step.content
     timeline.check_times(step, ("settle_s", "hold_s"), content.hold_s, content.settle_s)
-    engaged = [role for role, followed in timeline.roles.items() if followed.mode is not Mode.OFF]
-    if engaged and timeline.modes_known:
-        timeline.complain(step, (), f"{' and '.join(engaged)} engaged while a person is at the shaft; off was expected")
-    order = weighing_order(content.masses_kg)
-    timeline.foresee(step, content.repeats * 2 * len(order), content.repeats * len(order) * content.hold_s)
+    engaged_roles = [role for role, role_setpoint in timeline.roles.items() if role_setpoint.mode is not Mode.OFF]
+    if engaged_roles and timeline.modes_known:
+        timeline.add_fault(
+            step, (), f"{' and '.join(engaged_roles)} engaged while a person is at the shaft; off was expected"
+        )
+    weighings = weighing_order(content.masses_kg)
+    timeline.check_limits(step, content.repeats * 2 * len(weighings), content.repeats * len(weighings) * content.hold_s)
     side = "positive" if content.sign > 0 else "negative"
-    for number in range(1, content.repeats + 1):
-        for mass, direction in order:
+    for repeat in range(1, content.repeats + 1):
+        for mass, direction in weighings:
             torque = content.sign * mass * STANDARD_GRAVITY * content.arm_m
-            text = f"Hang {mass:g} kg at {content.arm_m:g} m, pulling in the {side} sense of the shaft, and let it rest"
-            timeline.add(step, Hang(text if mass else "Take all weights off the arm", torque))
+            request = (
+                f"Hang {mass:g} kg at {content.arm_m:g} m, pulling in the {side} sense of the shaft, and let it rest"
+            )
+            timeline.add(step, Hang(request if mass else "Take all weights off the arm", torque))
             parameters: dict[str, float | str] = {"weight_Nm": torque, "mass_kg": mass, "arm_m": content.arm_m}
             parameters |= {
                 "role": "bench",
                 "direction": direction,
-                "repeat": (pass_number - 1) * content.repeats + number,
+                "repeat": (pass_number - 1) * content.repeats + repeat,
             }
             timeline.segment(step, "hold", content.hold_s, {}, parameters, content.settle_s)

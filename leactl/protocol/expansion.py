@@ -42,14 +42,14 @@ def expand(timeline: Timeline, steps: tuple[ProtocolStep, ...], pass_number: int
     for step in steps:
         if step.kind == "repeat":
             times = step.content.times if step.content is not None else 1
-            timeline.foresee(step, times * len(step.inner))
+            timeline.check_limits(step, times * len(step.inner))
             for number in range(1, times + 1):
-                timeline.charge(step)
+                timeline.count_towards_limits(step)
                 expand(timeline, step.inner, (pass_number - 1) * times + number)
         elif step.kind == "when":
             _when(timeline, step, pass_number)
         elif step.content is None:
-            timeline.charge(step)
+            timeline.count_towards_limits(step)
             timeline.fault_free = False
             timeline.modes_known = timeline.modes_known and step.kind != "mode"
         else:
@@ -59,49 +59,55 @@ def expand(timeline: Timeline, steps: tuple[ProtocolStep, ...], pass_number: int
 def _when(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     """Write conditional steps; it is a fault if modes or setpoints after them differ from those before."""
     condition = None if step.content is None else _condition(timeline, step)
-    before = {role: (followed.mode, followed.setpoint) for role, followed in timeline.roles.items()}
-    began = len(timeline.actions)
+    states_before = {
+        role: (role_setpoint.mode, role_setpoint.setpoint) for role, role_setpoint in timeline.roles.items()
+    }
+    first_index = len(timeline.actions)
     if condition is not None:
         timeline.add(step, When(condition))
     expand(timeline, step.inner, pass_number)
     if condition is not None:
         timeline.add(step, EndWhen())
     timeline.fault_free = timeline.fault_free and condition is not None
-    if any(isinstance(action, SetRecordRate | SetSupply) for action in timeline.actions[began:]):
-        timeline.complain(step, "steps", "a record or supply step would outlast the condition; none was expected")
-    for role, (mode, setpoint) in before.items() if timeline.fault_free else ():
-        followed = timeline.roles[role]
-        if (followed.mode, followed.setpoint) != (mode, setpoint):
-            known = "off" if mode is Mode.OFF else f"{mode} at {'its angle' if setpoint is None else f'{setpoint:g}'}"
-            message = f"{role} is not left as it was; {known}, as before the condition, was expected at the end"
-            timeline.complain(step, "steps", message)
+    if any(isinstance(action, SetRecordRate | SetSupply) for action in timeline.actions[first_index:]):
+        timeline.add_fault(step, "steps", "a record or supply step would outlast the condition; none was expected")
+    for role, (mode, setpoint) in states_before.items() if timeline.fault_free else ():
+        role_setpoint = timeline.roles[role]
+        if (role_setpoint.mode, role_setpoint.setpoint) != (mode, setpoint):
+            expected_state = (
+                "off" if mode is Mode.OFF else f"{mode} at {'its angle' if setpoint is None else f'{setpoint:g}'}"
+            )
+            message = (
+                f"{role} is not left as it was; {expected_state}, as before the condition, was expected at the end"
+            )
+            timeline.add_fault(step, "steps", message)
 
 
 def _condition(timeline: Timeline, step: ProtocolStep) -> StepOutcome | InRange | None:
     """Return the condition of a `when` step; if it is invalid, add faults and return None."""
     content: WhenStep = step.content
-    reading = ("quantity", "role", "below", "above", "unit")
-    reading_keys = [key for key in reading if getattr(content, key) is not None]
+    possible_keys = ("quantity", "role", "below", "above", "unit")
+    reading_keys = [key for key in possible_keys if getattr(content, key) is not None]
     if content.step is None and content.outcome is None:
         missing = [key for key in ("quantity", "role", "unit") if key not in reading_keys]
         if missing:
-            timeline.complain(step, missing[0], "is required and missing; or step and outcome of an earlier step")
+            timeline.add_fault(step, missing[0], "is required and missing; or step and outcome of an earlier step")
             return None
         return InRange(content.quantity or "", content.role or "", *bounds(timeline, step, content))
     if reading_keys:
-        timeline.complain(step, reading_keys[0], "either step and outcome, or a reading with its bounds, was expected")
+        timeline.add_fault(step, reading_keys[0], "either step and outcome, or a reading with its bounds, was expected")
         return None
     if content.step is None or content.outcome is None:
-        timeline.complain(step, "step" if content.step is None else "outcome", "is required and missing")
+        timeline.add_fault(step, "step" if content.step is None else "outcome", "is required and missing")
         return None
     outcomes = timeline.outcomes
     if content.step not in outcomes:
-        known = f"one of {', '.join(outcomes)}" if outcomes else "a bisect, or a hold with until, before it"
-        timeline.complain(step, "step", f"'{content.step}' has no outcome at this point; {known} was expected")
+        expected = f"one of {', '.join(outcomes)}" if outcomes else "a bisect, or a hold with until, before it"
+        timeline.add_fault(step, "step", f"'{content.step}' has no outcome at this point; {expected} was expected")
         return None
     if content.outcome not in outcomes[content.step]:
         expected = " or ".join(outcomes[content.step])
-        timeline.complain(step, "outcome", f"{content.outcome}: {content.step} ends {expected}")
+        timeline.add_fault(step, "outcome", f"{content.outcome}: {content.step} ends {expected}")
         return None
     return StepOutcome(content.step, content.outcome)
 
@@ -109,10 +115,10 @@ def _condition(timeline: Timeline, step: ProtocolStep) -> StepOutcome | InRange 
 def _mode(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
     modes = {role: mode for role in ("test", "load") if (mode := getattr(step.content, role)) is not None}
     if not modes:
-        timeline.complain(step, (), "a mode for test, load or both was expected")
+        timeline.add_fault(step, (), "a mode for test, load or both was expected")
     for role, mode in modes.items():
         if timeline.setup == HEATED and mode is not Mode.OFF:
-            timeline.complain(step, role, f"'{mode}': in set-up {HEATED} a supply feeds the leads; off was expected")
+            timeline.add_fault(step, role, f"'{mode}': in set-up {HEATED} a supply feeds the leads; off was expected")
     timeline.engage(step, modes)
 
 
@@ -120,7 +126,7 @@ def _set(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     content: SetStep = step.content
     spelling = timeline.spelling(step, content.role, content)
     if spelling is not None:
-        value = content.given(spelling, "setpoint") * content.sign
+        value = content.value_of(spelling, "setpoint") * content.sign
         parameters = _hold_parameters(timeline, content.role, spelling, value, pass_number)
         timeline.hold(step, "set", (0.0, 0.0), content.role, value, parameters)
 
@@ -130,16 +136,16 @@ def _ramp(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     spelling = timeline.spelling(step, content.role, content)
     if spelling is None:
         return
-    rate = content.given(spelling, "rate")
+    rate = content.value_of(spelling, "rate")
     if (rate is None) == (content.duration_s is None):
-        timeline.complain(step, "duration_s", f"either duration_s or {spelling.rate} was expected")
+        timeline.add_fault(step, "duration_s", f"either duration_s or {spelling.rate} was expected")
         return
-    value = content.given(spelling, "to_setpoint") * content.sign
-    before = timeline.known_setpoint(step, content.role, spelling.key("to_setpoint"))
-    if before is not None:
-        duration_s = content.duration_s or abs(value - before) / rate
-        where = {"role": content.role, "repeat": pass_number}
-        timeline.ramp(step, content.role, (before, value), duration_s, where, content.name)
+    stop = content.value_of(spelling, "to_setpoint") * content.sign
+    start = timeline.setpoint_before_ramp(step, content.role, spelling.key("to_setpoint"))
+    if start is not None:
+        duration_s = content.duration_s or abs(stop - start) / rate
+        parameters = {"role": content.role, "repeat": pass_number}
+        timeline.ramp(step, content.role, (start, stop), duration_s, parameters, content.name)
 
 
 def _hold(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
@@ -150,16 +156,16 @@ def _hold(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     if content.until is not None:
         required = content.until.otherwise == "fail"
         until = criterion(timeline, step, ("until", "duration_s"), times, required=required)
-    setpoints = [key for key in ("current_A", "velocity_rad_s", "angle_rad") if getattr(content, key) is not None]
-    if not setpoints:
+    setpoint_keys = [key for key in ("current_A", "velocity_rad_s", "angle_rad") if getattr(content, key) is not None]
+    if not setpoint_keys:
         timeline.segment(step, content.name, times[0], {}, {"repeat": pass_number}, times[1], until)
         return
     if content.role is None:
-        timeline.complain(step, "role", "is required and missing where a setpoint is given")
+        timeline.add_fault(step, "role", "is required and missing where a setpoint is given")
         return
     spelling = timeline.spelling(step, content.role, content)
     if spelling is not None:
-        value = content.given(spelling, "setpoint") * content.sign
+        value = content.value_of(spelling, "setpoint") * content.sign
         parameters = _hold_parameters(timeline, content.role, spelling, value, pass_number)
         timeline.hold(step, content.name, times, content.role, value, parameters, until)
 
@@ -167,20 +173,20 @@ def _hold(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
 def _hold_parameters(
     timeline: Timeline, role: str, spelling: Spelling, value: float, pass_number: int
 ) -> dict[str, float | str]:
-    direction = timeline.roles[role].goes_to(value)
+    direction = timeline.roles[role].move_to(value)
     return {spelling.setpoint: value, "direction": direction, "role": role, "repeat": pass_number}
 
 
 def _signal(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     content: ProtocolSignal = step.content.in_pass(pass_number)
     spelling = timeline.spelling(step, content.role, content)
-    rate = min(content.reference_Hz or math.inf, timeline.rate_hz)
-    faults = list(content.faults(rate))
+    setpoint_rate_hz = min(content.reference_Hz or math.inf, timeline.rate_hz)
+    faults = list(content.faults(setpoint_rate_hz))
     if content.reference_Hz is not None and content.reference_Hz > timeline.rate_hz:
         message = f"{content.reference_Hz:g} Hz: rate_Hz ({timeline.rate_hz:g} Hz) or less was expected"
         faults.append(("reference_Hz", message))
     for key, message in faults:
-        timeline.complain(step, key, message)
+        timeline.add_fault(step, key, message)
     if spelling is None or faults:
         return
     signal_key = step.location, spelling.setpoint, content
@@ -192,40 +198,40 @@ def _signal(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
     samples = timeline.signals[signal_key]
     duration = len(samples.values) * samples.period
     if content.settle_s >= duration:
-        timeline.complain(step, "settle_s", f"{content.settle_s:g} s: less than {duration:g} s was expected")
-    keys = content.model_dump(exclude_none=True, exclude={"role", "settle_s", "duration_s"})
-    parameters = {key: value for key, value in keys.items() if isinstance(value, float | int | str)}
+        timeline.add_fault(step, "settle_s", f"{content.settle_s:g} s: less than {duration:g} s was expected")
+    settings = content.model_dump(exclude_none=True, exclude={"role", "settle_s", "duration_s"})
+    parameters = {key: value for key, value in settings.items() if isinstance(value, float | int | str)}
     parameters |= {"role": content.role, "repeat": pass_number}
     timeline.segment(step, content.kind, duration, {content.role: samples}, parameters, content.settle_s)
-    timeline.roles[content.role].goes_to(float(samples.values[-1]))
+    timeline.roles[content.role].move_to(float(samples.values[-1]))
 
 
 def _samples(timeline: Timeline, step: ProtocolStep, content: Any, spelling: Spelling) -> Samples | None:
     """Sample a signal at the rate of its setpoints; if it cannot be computed, add faults and return None."""
     import numpy as np
 
-    rate = content.reference_Hz or timeline.rate_hz
-    period = 1 / rate
+    rate_hz = content.reference_Hz or timeline.rate_hz
+    period = 1 / rate_hz
     if isinstance(content, CsvSignal):
         try:
-            times, column = trajectory.read(timeline.folder / content.path, content.column, spelling)
+            times, setpoints = trajectory.read(timeline.folder / content.path, content.column, spelling)
         except InputError as error:
             for fault in error.faults:
-                timeline.complain(step, "column" if fault.startswith("column ") else "path", fault)
+                timeline.add_fault(step, "column" if fault.startswith("column ") else "path", fault)
             return None
-        count = math.floor(float(times[-1]) * rate + 1e-6) + 1
-        timeline.charge(step, steps=0, samples=count)
-        values = np.interp(np.arange(count) * period, times, column)
+        count = math.floor(float(times[-1]) * rate_hz + 1e-6) + 1
+        timeline.count_towards_limits(step, steps=0, samples=count)
+        values = np.interp(np.arange(count) * period, times, setpoints)
     else:
-        count = round(content.duration_s * rate)
+        count = round(content.duration_s * rate_hz)
         if count < 1:
-            timeline.complain(step, "duration_s", f"{content.duration_s:g} s: at least {period:g} s was expected")
+            timeline.add_fault(step, "duration_s", f"{content.duration_s:g} s: at least {period:g} s was expected")
             return None
-        timeline.charge(step, steps=0, samples=count)
+        timeline.count_towards_limits(step, steps=0, samples=count)
         try:
             values = content.values(np.arange(count) * period, spelling)
         except ValueError as error:
-            timeline.complain(step, (), str(error))
+            timeline.add_fault(step, (), str(error))
             return None
     values.setflags(write=False)
     return Samples(period, values)
@@ -238,31 +244,31 @@ def _wait_until(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> No
 
 
 def _record(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
-    rate = step.content.rate_Hz
-    if rate and not divides(rate, timeline.rate_hz):
-        timeline.complain(
-            step, "rate_Hz", f"{rate:g} Hz: a whole part of rate_Hz ({timeline.rate_hz:g} Hz) was expected"
+    rate_hz = step.content.rate_Hz
+    if rate_hz and not divides(rate_hz, timeline.rate_hz):
+        timeline.add_fault(
+            step, "rate_Hz", f"{rate_hz:g} Hz: a whole part of rate_Hz ({timeline.rate_hz:g} Hz) was expected"
         )
-    timeline.add(step, SetRecordRate(rate))
+    timeline.add(step, SetRecordRate(rate_hz))
 
 
 def _tare(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
     timeline.add(step, Tare(step.content.samples))
-    timeline.charge(step, steps=0, duration_s=step.content.samples / timeline.rate_hz)
+    timeline.count_towards_limits(step, steps=0, duration_s=step.content.samples / timeline.rate_hz)
 
 
 def _supply(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
     outputs = step.content.outputs
     if not outputs:
-        timeline.complain(step, (), "an output for test, load or both was expected")
+        timeline.add_fault(step, (), "an output for test, load or both was expected")
     if timeline.setup not in ("", HEATED):
-        timeline.complain(step, (), f"a supply feeds leads in set-up {HEATED} alone; setup is {timeline.setup}")
+        timeline.add_fault(step, (), f"a supply feeds leads in set-up {HEATED} alone; setup is {timeline.setup}")
     timeline.add(step, SetSupply(outputs))
 
 
 def _prompt(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
     if not step.content.isprintable():
-        timeline.complain(step, (), "a text of one printable line was expected")
+        timeline.add_fault(step, (), "a text of one printable line was expected")
     timeline.add(step, Prompt(step.content))
 
 

@@ -32,8 +32,8 @@ def listed_protocols() -> list[ListedProtocol]:
     ------
     InputError : a file has faults.
     """
-    known = _known_durations()
-    return [_listed(shipped.folder() / f"{name}.yaml", known.get(name, {})) for name in shipped.names()]
+    durations_by_name = _known_durations()
+    return [_listed(shipped.folder() / f"{name}.yaml", durations_by_name.get(name, {})) for name in shipped.names()]
 
 
 def durations() -> dict[str, dict[str, str | float]]:
@@ -42,14 +42,16 @@ def durations() -> dict[str, dict[str, str | float]]:
     return {path.stem: {"sha256": _digest(path), "duration_s": _expanded(path).duration_s} for path in paths}
 
 
-def _listed(path: Path, known: dict[str, str | float]) -> ListedProtocol:
-    if known.get("sha256") != _digest(path):
+def _listed(path: Path, stored: dict[str, str | float]) -> ListedProtocol:
+    """Return the entry of a protocol, with the stored duration if the stored digest is that of the file."""
+    if stored.get("sha256") != _digest(path):
         return _expanded(path)
-    head = yamlfile.load(path).data
-    return ListedProtocol(head["name"], head["title"], head["setup"], float(known["duration_s"]))
+    keys = yamlfile.load(path).data
+    return ListedProtocol(keys["name"], keys["title"], keys["setup"], float(stored["duration_s"]))
 
 
 def _expanded(path: Path) -> ListedProtocol:
+    """Return the entry of a protocol with the duration of its expanded plan."""
     from leactl.protocol.protocolfile import load
 
     plan = load(str(path))
@@ -57,6 +59,7 @@ def _expanded(path: Path) -> ListedProtocol:
 
 
 def _known_durations() -> dict[str, dict[str, str | float]]:
+    """Return the content of `durations.json`; empty if there is no such file."""
     path = shipped.folder() / DURATIONS
     return json.loads(path.read_text("utf-8")) if path.is_file() else {}
 

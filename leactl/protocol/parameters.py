@@ -30,7 +30,7 @@ class Resolved:
     values: dict[str, Any] = field(default_factory=dict)
     origins: dict[str, str] = field(default_factory=dict)
 
-    def take(self, name: str, value: Any, origin: str) -> None:
+    def set_value(self, name: str, value: Any, origin: str) -> None:
         """Set a value, overriding an earlier one."""
         self.values[name], self.origins[name] = value, origin
 
@@ -43,30 +43,30 @@ class Resolved:
 class Substituted(Document):
     """A protocol file with its parameters replaced; a fault at a replaced value names the parameter and its origin."""
 
-    uses: dict[Location, str] = field(default_factory=dict)  # parameter and its origin, by location
+    uses: dict[Location, str] = field(default_factory=dict)  # text on the parameter and its origin, by location
     changed: set[Location] = field(default_factory=set)  # locations whose value is not the default
-    below: dict[Location, list[str]] = field(default_factory=dict)  # changed parameters below a location
+    changed_below: dict[Location, list[str]] = field(default_factory=dict)  # changed parameters below a location
 
-    def put_in(self, location: Location, text: str, changed: bool) -> None:
-        """Record that a parameter was replaced at this location."""
+    def record_use(self, location: Location, text: str, changed: bool) -> None:
+        """Record that a value at this location comes from a parameter; `text` names it and its origin."""
         self.uses[location] = text
         if changed:
             self.changed.add(location)
             for length in range(2, len(location)):
-                self.below.setdefault(location[:length], []).append(text)
+                self.changed_below.setdefault(location[:length], []).append(text)
 
     def fault(self, location: Sequence[str | int], message: str) -> str:
-        """Return the line for a fault, with the parameter that the value comes from."""
+        """Return the line for a fault, with the parameter from which the value comes."""
         keys = tuple(location)
         ancestors = [keys[:length] for length in range(len(keys), 0, -1)]
         parameters = next(
-            ([self.uses[ancestor]] for ancestor in ancestors if ancestor in self.uses), self.below.get(keys, [])
+            ([self.uses[ancestor]] for ancestor in ancestors if ancestor in self.uses), self.changed_below.get(keys, [])
         )
         line = super().fault(location, message)
         return line + printable(f" ({', '.join(dict.fromkeys(parameters))})" if parameters else "")
 
     def explain(self, error: "ValidationError", under: Location = ()) -> list[str]:
-        """Return the faults of a model, without those of a `$name` that is already reported as unknown."""
+        """Return the faults of a model, without those at a `$name` that is already reported as unknown."""
         return [line for line in super().explain(error, under) if not line.endswith(f"{UNKNOWN_TEXT})")]
 
 
@@ -91,57 +91,63 @@ def resolve(document: Document, overrides: Mapping[str, str], condition: str, fa
             )
         elif _kind(value) is None:
             faults.append(document.fault(("parameters", name), f"{shown(value)}: {EXPECTED_VALUES}"))
-        resolved.take(name, value, f"line {document.places['parameters', name][0]}")
-    known = dict(resolved.values)
+        resolved.set_value(name, value, f"line {document.places['parameters', name][0]}")
+    default_values = dict(resolved.values)
     if not isinstance(conditions, Mapping | None):
         faults.append(document.fault(("conditions",), "a mapping of labels to parameters was expected"))
         conditions = None
     for label, values in (conditions or {}).items():
-        _take_condition(document, label, values, known, resolved if label == condition else None, faults)
+        _apply_condition(document, label, values, default_values, resolved if label == condition else None, faults)
     for name, text in overrides.items():
-        _take_override(name, text, known, resolved, faults)
+        _apply_override(name, text, default_values, resolved, faults)
     return resolved
 
 
-def _take_condition(
-    document: Document, label: str, values: Any, known: Mapping[str, Any], into: Resolved | None, faults: list[str]
+def _apply_condition(
+    document: Document,
+    label: str,
+    values: Any,
+    defaults: Mapping[str, Any],
+    resolved: Resolved | None,
+    faults: list[str],
 ) -> None:
-    """Check the values of a condition against the defaults in `known`, and take them into `into` unless it is None."""
+    """Check the values of a condition against the defaults; if `resolved` is not None, set them there."""
     keys = ("conditions", label)
     if not isinstance(values, Mapping):
         faults.append(document.fault(keys, "a mapping of parameters to values was expected"))
         return
     for name, value in values.items():
-        message = _misfit(name, value, known)
+        message = _reason_against(name, value, defaults)
         if message:
             faults.append(document.fault((*keys, name), message))
-        elif into is not None:
-            into.take(name, value, f"condition {label}, line {document.places[*keys, name][0]}")
+        elif resolved is not None:
+            resolved.set_value(name, value, f"condition {label}, line {document.places[*keys, name][0]}")
 
 
-def _take_override(name: str, text: str, known: Mapping[str, Any], resolved: Resolved, faults: list[str]) -> None:
+def _apply_override(name: str, text: str, defaults: Mapping[str, Any], resolved: Resolved, faults: list[str]) -> None:
+    """Check a value of the command line against its default and set it; if it does not fit, add a fault."""
     origin = f"--set {name}={text}"
     try:
         value = yamlfile.parse(text, f"--set {name}").data if text.startswith("[") else yamlfile.scalar(text)
     except InputError as error:
         faults.extend(error.faults)
         return
-    message = _misfit(name, value, known)
+    message = _reason_against(name, value, defaults)
     if message:
         faults.append(f"{origin}: {message}")
     else:
-        resolved.take(name, value, origin)
+        resolved.set_value(name, value, origin)
 
 
-def _misfit(name: str, value: Any, known: Mapping[str, Any]) -> str:
+def _reason_against(name: str, value: Any, defaults: Mapping[str, Any]) -> str:
     """Return the reason why a value cannot override a default; empty if it can."""
-    if name not in known:
-        return f"no such parameter; known: {', '.join(known) or 'none'}"
-    kind, expected = _kind(value), _kind(known[name])
-    if expected is None:
+    if name not in defaults:
+        return f"no such parameter; known: {', '.join(defaults) or 'none'}"
+    actual_kind, expected_kind = _kind(value), _kind(defaults[name])
+    if expected_kind is None:
         return ""  # the fault of the default is already reported
-    if kind != expected:
-        return f"{shown(value)}: a {expected} was expected, as in the default {shown(known[name])}"
+    if actual_kind != expected_kind:
+        return f"{shown(value)}: a {expected_kind} was expected, as in the default {shown(defaults[name])}"
     return ""
 
 
@@ -160,13 +166,13 @@ def _kind(value: Any) -> str | None:
 
 def substitute(document: Document, resolved: Resolved | None, faults: list[str]) -> Substituted:
     """Replace every `$name` of a document; an unknown name is a fault at its location."""
-    result = Substituted(document.name, document.text, None, dict(document.places))
+    filled = Substituted(document.name, document.text, None, dict(document.places))
 
-    def put_in(value: Any, keys: Location) -> Any:
+    def substituted(value: Any, keys: Location) -> Any:
         if isinstance(value, dict):
-            return {key: put_in(item, (*keys, key)) for key, item in value.items()}
+            return {key: substituted(item, (*keys, key)) for key, item in value.items()}
         if isinstance(value, list):
-            return [put_in(item, (*keys, index)) for index, item in enumerate(value)]
+            return [substituted(item, (*keys, index)) for index, item in enumerate(value)]
         reference = REFERENCE.match(value) if isinstance(value, str) else None
         if reference is None or resolved is None:
             return value
@@ -174,13 +180,15 @@ def substitute(document: Document, resolved: Resolved | None, faults: list[str])
         if name not in resolved.values:
             known = ", ".join(f"${known}" for known in resolved.values) or "none"
             faults.append(document.fault(keys, f"{value}: no such parameter; known: {known}"))
-            result.put_in(keys, f"{value} {UNKNOWN_TEXT}", changed=False)
+            filled.record_use(keys, f"{value} {UNKNOWN_TEXT}", changed=False)
             return value
-        result.put_in(keys, f"{value} from {resolved.origins[name]}", resolved.changed(name))
+        filled.record_use(keys, f"{value} from {resolved.origins[name]}", resolved.changed(name))
         return resolved.values[name]
 
-    result.data = {key: value if key in LITERAL_KEYS else put_in(value, (key,)) for key, value in document.data.items()}
-    return result
+    filled.data = {
+        key: value if key in LITERAL_KEYS else substituted(value, (key,)) for key, value in document.data.items()
+    }
+    return filled
 
 
 def unused(document: Document) -> list[str]:

@@ -32,7 +32,7 @@ class SetpointProfile(Protocol):
     """A setpoint as a function of the time since its segment's start."""
 
     def at(self, time: float) -> float:
-        """Return the setpoint at a time [s]; before the start the first one, after the end the last one."""
+        """Return the setpoint at a time [s]: before the start the first setpoint, after the end the last one."""
 
     @property
     def low(self) -> float:
@@ -105,7 +105,7 @@ class Samples:
         object.__setattr__(self, "numbers", memoryview(self.values))  # type: ignore[arg-type]
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Samples) and self.period == other.period and self._listed == other._listed
+        return isinstance(other, Samples) and self.period == other.period and self._value_bytes == other._value_bytes
 
     __hash__ = None  # type: ignore[assignment]  # an array has none
 
@@ -127,7 +127,7 @@ class Samples:
         return float(self.values.max())
 
     @property
-    def _listed(self) -> bytes:
+    def _value_bytes(self) -> bytes:
         return self.values.tobytes()
 
 
@@ -343,7 +343,7 @@ class ChannelBounds:
 
     @property
     def bounds(self) -> str:
-        """Both bounds as text for a person."""
+        """Both bounds, as text for a person."""
         return f"{self.low:g} to {self.high:g} was required"
 
 
@@ -374,7 +374,7 @@ class Plan:
     name: str
     title: str
     setup: str
-    analysis: str  # "" where the protocol names none
+    analysis: str  # empty if the protocol names none
     rate_Hz: float  # noqa: N815
     record_Hz: float  # noqa: N815
     parameters: Mapping[str, Any]  # resolved: --set overrides the condition, which overrides the default
@@ -384,13 +384,13 @@ class Plan:
     text: str  # the protocol file, byte for byte
     separates: tuple[str, ...] = ()  # effects that its runs can tell apart
     needs: tuple[str, ...] = ()  # quantities that the bench must measure
-    wants: tuple[str, ...] = ()  # quantities that its analysis uses; one without a device may be attached later
+    wants: tuple[str, ...] = ()  # quantities that its analysis uses; a record of them may be attached after the run
     attended: bool = False  # whether a person stays by the bench and can switch off a supply
 
     @property
     def duration_s(self) -> float:
         """Longest duration of segments and taring; waits, prompts and enabling are not included."""
-        return math.fsum(map(self._lasts, self.actions))
+        return math.fsum(map(self._duration_of, self.actions))
 
     @property
     def adaptive(self) -> bool:
@@ -428,19 +428,23 @@ class Plan:
         start = 0.0
         for action, modes in self._with_modes():
             if isinstance(action, Segment):
-                shown = [f"{role} {_profile_text(profile, modes[role])}" for role, profile in action.setpoints.items()]
+                texts = [f"{role} {_profile_text(profile, modes[role])}" for role, profile in action.setpoints.items()]
                 if action.until is not None:
-                    shown.append(f"at most {action.duration_s:g} s, until {action.until}")
+                    texts.append(f"at most {action.duration_s:g} s, until {action.until}")
                 if action.trial is not None:
-                    shown.append(f"trial {action.trial.number} of {action.trial.search.trials}")
-                rows.append(TimelineRow(start, action.name, action.duration_s, action.settle_s, ", ".join(shown)))
+                    texts.append(f"trial {action.trial.number} of {action.trial.search.trials}")
+                rows.append(TimelineRow(start, action.name, action.duration_s, action.settle_s, ", ".join(texts)))
                 start += action.duration_s
             else:
-                rows.append(TimelineRow(start, _NAMES[type(action)], self._lasts(action), 0.0, _action_text(action)))
-                start += self._lasts(action)
+                rows.append(
+                    TimelineRow(
+                        start, _ACTION_NAMES[type(action)], self._duration_of(action), 0.0, _action_text(action)
+                    )
+                )
+                start += self._duration_of(action)
         return rows
 
-    def _lasts(self, action: Action) -> float:
+    def _duration_of(self, action: Action) -> float:
         """Return the duration of an action [s]; taring takes one reading per cycle."""
         if isinstance(action, Tare):
             return action.samples / self.rate_Hz
@@ -455,7 +459,7 @@ class Plan:
             yield action, modes
 
 
-_NAMES: dict[type, str] = {
+_ACTION_NAMES: dict[type, str] = {
     Engage: "mode",
     WaitUntil: "wait_until",
     Tare: "tare",

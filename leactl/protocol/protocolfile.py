@@ -79,11 +79,11 @@ def load(name_or_path: str, overrides: Mapping[str, str] = NO_OVERRIDES, conditi
     Parameters
     ----------
     overrides : texts by parameter, from the command line; a list begins with `[`.
-    condition : any label; parameters that the protocol has for it override the defaults.
+    condition : label of a condition; values that the protocol states for it override the defaults.
 
     Raises
     ------
-    InputError : no such protocol, or all its faults with file, line and column.
+    InputError : no such protocol, or one line for each of its faults, with file, line and column.
     """
     path = locate(name_or_path)
     return expand_document(yamlfile.load(path), path.parent, overrides, condition)
@@ -94,22 +94,22 @@ def expand_document(document: yamlfile.Document, folder: Path, overrides: Mappin
 
     Raises
     ------
-    InputError : all faults of the protocol.
+    InputError : one line for each fault of the protocol.
     """
     if not isinstance(document.data, dict):
         raise InputError(document.fault((), f"a mapping with keys of {', '.join(Head.model_fields)} was expected"))
     faults: list[str] = []
     resolved = resolve(document, overrides, condition, faults)
-    filled = substitute(document, resolved, faults)
-    head = _head(filled, faults)
-    rate_hz = head.rate_Hz if head is not None else _number(filled.data.get("rate_Hz"))
-    raw = filled.data.get("steps")
-    timeline = Timeline(filled, rate_hz, folder, head.setup if head is not None else "")
-    if isinstance(raw, list):
-        checked = steps.read(filled, raw, ("steps",), faults)
+    substituted = substitute(document, resolved, faults)
+    head = _head(substituted, faults)
+    rate_hz = head.rate_Hz if head is not None else _rate_or_default(substituted.data.get("rate_Hz"))
+    raw_steps = substituted.data.get("steps")
+    timeline = Timeline(substituted, rate_hz, folder, head.setup if head is not None else "")
+    if isinstance(raw_steps, list):
+        checked_steps = steps.read(substituted, raw_steps, ("steps",), faults)
         timeline.faults.update(dict.fromkeys(faults))
         try:
-            expand(timeline, checked)
+            expand(timeline, checked_steps)
         except InputError as error:
             timeline.faults.update(dict.fromkeys(error.faults))
         faults = list(timeline.faults)
@@ -119,9 +119,9 @@ def expand_document(document: yamlfile.Document, folder: Path, overrides: Mappin
     searches = {trial.search.name: trial.search.quantity for trial in trials}
     for number, limit in enumerate(head.acceptance) if head is not None and timeline.fault_free else ():
         for key, message in limit.misfits(names, searches):
-            faults.append(filled.fault(("acceptance", number, *([key] if key else [])), message))
+            faults.append(substituted.fault(("acceptance", number, *([key] if key else [])), message))
     if faults or head is None or resolved is None:
-        raise InputError(_in_order(document.name, faults))
+        raise InputError(_sorted_by_position(document.name, faults))
     return Plan(
         name=head.name,
         title=head.title,
@@ -165,18 +165,18 @@ def _bounds(
     return ChannelBounds(limit.channel, limit.role, limit.step, limit.statistic, low, high, limit.unit, limit.stop)
 
 
-def _number(rate: object) -> float:
-    """Return a control rate [Hz] to check the steps with if the head has faults: the file's, else 1000 Hz."""
-    usable = isinstance(rate, int | float) and not isinstance(rate, bool) and 0 < rate <= 10_000
-    return float(rate) if usable else 1000.0  # type: ignore[arg-type]
+def _rate_or_default(rate: object) -> float:
+    """Return the control rate [Hz] by which the steps are checked if the head has faults: the file's, else 1000 Hz."""
+    is_usable = isinstance(rate, int | float) and not isinstance(rate, bool) and 0 < rate <= 10_000
+    return float(rate) if is_usable else 1000.0  # type: ignore[arg-type]
 
 
-def _in_order(name: str, faults: list[str]) -> list[str]:
+def _sorted_by_position(name: str, faults: list[str]) -> list[str]:
     """Sort faults by line and column; those of the command line come first."""
-    mark = re.compile(re.escape(name) + r":(\d+):(\d+)  ")
+    position_pattern = re.compile(re.escape(name) + r":(\d+):(\d+)  ")
 
     def position(fault: str) -> tuple[int, ...]:
-        match = mark.match(fault)
+        match = position_pattern.match(fault)
         return (int(match[1]), int(match[2])) if match else (0, 0)
 
     return sorted(dict.fromkeys(faults), key=position)

@@ -1,4 +1,4 @@
-"""Types of values in protocol files, the blocks for acceptance limits, and the head of the file."""
+"""Define the types of values in protocol files, the blocks of acceptance limits, and the head of the file."""
 # ruff: noqa: N815 (a unit keeps its letter)
 
 import math
@@ -14,9 +14,9 @@ from leactl.units import CONVERSIONS, converter
 from leactl.vocabulary.effect import effect_names
 from leactl.yamlblock import Block
 
-MAX_DURATION_S = 7 * 24 * 3600.0
-MAX_ACTIONS = 100_000
-MAX_SAMPLES = 5_000_000
+MAX_DURATION_S = 7 * 24 * 3600.0  # of a protocol
+MAX_ACTIONS = 100_000  # of an expanded protocol
+MAX_SAMPLES = 5_000_000  # of all signals of a protocol
 
 # Strict: YAML's `true` and quoted numbers are not numbers here. 1e6 bounds every setpoint, so that no sum overflows.
 Setpoint = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
@@ -38,18 +38,20 @@ class Driven(Block):
     needs: ClassVar[tuple[str, ...]] = ()
     takes: ClassVar[tuple[str, ...]] = ()
 
-    def given(self, spelling: Spelling, stem: str) -> Any:
-        """Return the value of a stem's key in a spelling; None if the block does not have it."""
+    def value_of(self, spelling: Spelling, stem: str) -> Any:
+        """Return the value of the block's key for a stem in a spelling; None if the block has no value for it."""
         return getattr(self, spelling.key(stem))
 
 
 def _known_effect(name: str) -> str:
+    """Return the name; raise ValueError if no effect of the library has it."""
     if name not in effect_names():
         raise ValueError(f"effect '{name}' is not known; known: {', '.join(effect_names())}")
     return name
 
 
 def _known_quantity(name: str) -> str:
+    """Return the name; raise ValueError if it is not a quantity of the vocabulary."""
     if name not in UNITS:
         raise ValueError(f"quantity '{name}' is not in the vocabulary; known: {', '.join(sorted(UNITS))}")
     return name
@@ -70,7 +72,7 @@ class ResultLimit(Block):
     unit: Unit
 
     def misfits(self, _steps: Collection[str], _searches: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-        """Yield keys at fault with reasons; whether the analysis has the result is checked later."""
+        """Yield each key at fault, with the reason; whether the analysis has the result is checked later."""
         yield from _faults_of_bounds(self)
 
 
@@ -87,15 +89,15 @@ class ChannelLimit(Block):
     stop: Annotated[bool, Field(strict=True)] = False
 
     def misfits(self, steps: Collection[str], _searches: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-        """Yield keys at fault with reasons; `steps` are the names of the protocol's steps."""
+        """Yield each key at fault, with the reason; `steps` are the names of the protocol's steps."""
         yield from _faults_of_bounds(self)
         yield from _faults_of_unit(self.unit, self.channel, self.channel)
         if self.step and self.step not in steps:
-            close = get_close_matches(self.step, steps, n=1)
-            expected = close[0] if close else f"one of {', '.join(steps)}" if steps else "a step with a duration"
+            matches = get_close_matches(self.step, steps, n=1)
+            expected = matches[0] if matches else f"one of {', '.join(steps)}" if steps else "a step with a duration"
             yield "step", f"'{self.step}' is the name of no step; {expected} was expected"
-        at_once = {"max": self.high, "min": self.low}
-        if self.stop and at_once.get(self.statistic) is None:
+        bound_by_statistic = {"max": self.high, "min": self.low}
+        if self.stop and bound_by_statistic.get(self.statistic) is None:
             yield "stop", "max with high, or min with low, is what can be known before a step is over"
 
 
@@ -108,30 +110,32 @@ class BisectLimit(Block):
     unit: Unit
 
     def misfits(self, _steps: Collection[str], searches: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-        """Yield keys at fault with reasons; `searches` has the quantity that each bisection sets, by name."""
+        """Yield each key at fault, with the reason; `searches` has the setpoint's quantity of each bisection by name."""
         yield from _faults_of_bounds(self)
         if self.bisect in searches:
             yield from _faults_of_unit(self.unit, searches[self.bisect], self.bisect)
         else:
-            known = f"one of {', '.join(searches)}" if searches else "a bisect step"
-            yield "bisect", f"'{self.bisect}' is the name of no bisection; {known} was expected"
+            expected = f"one of {', '.join(searches)}" if searches else "a bisect step"
+            yield "bisect", f"'{self.bisect}' is the name of no bisection; {expected} was expected"
 
 
 def _faults_of_unit(unit: str, quantity: str, name: str) -> Iterator[tuple[str, str]]:
+    """Yield the key `unit`, with the reason, if the unit does not convert to that of the quantity."""
     conversion = converter(unit, quantity)
     if conversion is None or conversion.target != UNITS[quantity]:
-        known = ", ".join(CONVERSIONS[UNITS[quantity]])
-        yield "unit", f"{unit!r}: {name} is in {UNITS[quantity]}; one of {known} was expected"
+        units = ", ".join(CONVERSIONS[UNITS[quantity]])
+        yield "unit", f"{unit!r}: {name} is in {UNITS[quantity]}; one of {units} was expected"
 
 
 def _faults_of_bounds(limit: ResultLimit | ChannelLimit | BisectLimit) -> Iterator[tuple[str, str]]:
+    """Yield the key at fault, with the reason, if a limit has no bound or its bounds are in the wrong order."""
     if limit.low is None and limit.high is None:
         yield "", "low, high or both were expected"
     elif limit.low is not None and limit.high is not None and limit.low > limit.high:
         yield "low", f"{limit.low:g} is above high ({limit.high:g})"
 
 
-def _form(block: Any) -> str:
+def _limit_tag(block: Any) -> str:
     """Return the tag of the limit type that a block of the file has."""
     keys = block if isinstance(block, Mapping) else ()
     return "[channel]" if "channel" in keys else "[bisect]" if "bisect" in keys else "[result]"
@@ -141,7 +145,7 @@ Limit = Annotated[
     Annotated[ResultLimit, Tag("[result]")]
     | Annotated[ChannelLimit, Tag("[channel]")]
     | Annotated[BisectLimit, Tag("[bisect]")],
-    Discriminator(_form),
+    Discriminator(_limit_tag),
 ]
 
 

@@ -47,7 +47,7 @@ class ProtocolSignal(Driven):
         return self
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
-        """Yield keys at fault for the rate of the setpoints [Hz], with reasons."""
+        """Yield each key at fault, with the reason, for setpoints at a rate [Hz]."""
         yield from ()
 
     def values(self, times: "Array", spelling: Spelling) -> "Array":
@@ -60,6 +60,7 @@ class ProtocolSignal(Driven):
         raise NotImplementedError
 
     def _below_half(self, rate_hz: float, *keys: str) -> Iterator[tuple[str, str]]:
+        """Yield each key whose frequency is half the rate or more, with the reason."""
         for key in keys:
             value = getattr(self, key)
             if value is not None and not value < rate_hz / 2:
@@ -93,8 +94,8 @@ class StepSignal(ProtocolSignal):
         """Return the first level before the jump and the second from `at_s` on."""
         import numpy as np
 
-        before, after = self.given(spelling, "from_setpoint"), self.given(spelling, "to_setpoint")
-        values: Array = np.where(times < self.at_s - 1e-9, before, after)
+        first_level, second_level = self.value_of(spelling, "from_setpoint"), self.value_of(spelling, "to_setpoint")
+        values: Array = np.where(times < self.at_s - 1e-9, first_level, second_level)
         return values
 
 
@@ -109,7 +110,7 @@ class OffsetSignal(ProtocolSignal):
 
     def values(self, times: "Array", spelling: Spelling) -> "Array":
         """Return the signal with its offset."""
-        values: Array = self.around(times, spelling) + float(self.given(spelling, "offset") or 0.0)
+        values: Array = self.around(times, spelling) + float(self.value_of(spelling, "offset") or 0.0)
         return values
 
     def around(self, times: "Array", spelling: Spelling) -> "Array":
@@ -142,7 +143,7 @@ class SineSignal(AmplitudeSignal):
         import numpy as np
 
         wave: Array = np.sin(2 * math.pi * self.frequency_Hz * times + self.phase_rad)
-        return float(self.given(spelling, "amplitude")) * wave
+        return float(self.value_of(spelling, "amplitude")) * wave
 
 
 class ChirpSignal(AmplitudeSignal):
@@ -168,7 +169,7 @@ class ChirpSignal(AmplitudeSignal):
         else:
             cycles = start_hz * duration_s / log_ratio * np.expm1(log_ratio * times / duration_s)
         wave: Array = np.sin(2 * math.pi * cycles)
-        return float(self.given(spelling, "amplitude")) * wave
+        return float(self.value_of(spelling, "amplitude")) * wave
 
 
 class MultisineSignal(AmplitudeSignal):
@@ -184,11 +185,11 @@ class MultisineSignal(AmplitudeSignal):
 
     def faults(self, rate_hz: float) -> Iterator[tuple[str, str]]:
         """Yield faults of the choice of frequencies, and of frequencies of half the rate or more."""
-        band = (self.from_Hz, self.to_Hz, self.count)
-        if (self.frequencies_Hz is None) == (None in band) and any(item is not None for item in band):
+        band_settings = (self.from_Hz, self.to_Hz, self.count)
+        if (self.frequencies_Hz is None) == (None in band_settings) and any(item is not None for item in band_settings):
             yield "from_Hz", "from_Hz, to_Hz and count together, or frequencies_Hz alone, were expected"
             return
-        if self.frequencies_Hz is None and None in band:
+        if self.frequencies_Hz is None and None in band_settings:
             yield "frequencies_Hz", "frequencies_Hz, or from_Hz, to_Hz and count, were expected"
             return
         yield from self._below_half(rate_hz, "from_Hz", "to_Hz")
@@ -211,7 +212,7 @@ class MultisineSignal(AmplitudeSignal):
         return [start_hz + (stop_hz - start_hz) * index / (count - 1) for index in range(count)]
 
     def around(self, times: "Array", spelling: Spelling) -> "Array":
-        """Return the sum, scaled to its peak; Schroeder's phases (1970) keep the peak of a flat spectrum low."""
+        """Return the sum, scaled so that its peak is the amplitude; Schroeder's phases (1970) keep the peak low."""
         import numpy as np
 
         frequencies = self._frequencies()
@@ -219,13 +220,13 @@ class MultisineSignal(AmplitudeSignal):
             phases = [-math.pi * index * (index + 1) / len(frequencies) for index in range(len(frequencies))]
         else:
             phases = list(np.random.default_rng(self.seed).uniform(0, 2 * math.pi, len(frequencies)))
-        total: Array = np.zeros(len(times))
+        sine_sum: Array = np.zeros(len(times))
         for frequency, phase in zip(frequencies, phases, strict=True):
-            total += np.cos(2 * math.pi * frequency * times + phase)
-        peak = float(np.abs(total).max())
+            sine_sum += np.cos(2 * math.pi * frequency * times + phase)
+        peak = float(np.abs(sine_sum).max())
         if not peak > 1e-12:
             raise ValueError("the sum is zero at every sample")
-        return float(self.given(spelling, "amplitude")) / peak * total
+        return float(self.value_of(spelling, "amplitude")) / peak * sine_sum
 
 
 class NoiseSignal(OffsetSignal):
@@ -261,7 +262,7 @@ class NoiseSignal(OffsetSignal):
         with np.errstate(all="ignore"):
             filtered: Array = sosfilt(sections, np.random.default_rng(self.seed).standard_normal(len(times)))
             spread = float(filtered.std())
-            scaled = filtered * (float(self.given(spelling, "std")) / spread) if spread > 0 else filtered
+            scaled = filtered * (float(self.value_of(spelling, "std")) / spread) if spread > 0 else filtered
         if not (spread > 1e-12 and np.isfinite(scaled).all()):
             raise ValueError("nothing is left behind the filter; a higher cutoff_Hz, lower order or longer duration_s")
         return scaled

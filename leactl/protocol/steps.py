@@ -310,28 +310,28 @@ class ProtocolStep:
 
 
 def read(document: Substituted, raw: list[Any], keys: Location, faults: list[str]) -> tuple[ProtocolStep, ...]:
-    """Check each step and add faults; a faulty step stays in the sequence without content, and the rest is checked."""
+    """Check each step and add its faults; a faulty step remains in the sequence, with None as its content."""
     return tuple(_read_step(document, item, (*keys, index), faults) for index, item in enumerate(raw))
 
 
 def _read_step(document: Substituted, raw: Any, keys: Location, faults: list[str]) -> ProtocolStep:
-    known = ", ".join(sorted([*KINDS, "signal"]))
+    kinds = ", ".join(sorted([*KINDS, "signal"]))
     if not isinstance(raw, Mapping) or len(raw) != 1:
-        faults.append(document.fault(keys, f"a mapping of one key was expected, one of {known}"))
+        faults.append(document.fault(keys, f"a mapping of one key was expected, one of {kinds}"))
         return ProtocolStep(keys, "unknown", None)
     kind, settings = next(iter(raw.items()))
     kind_keys = (*keys, kind)
     adapter = _signal(document, settings, kind_keys, faults) if kind == "signal" else KINDS.get(kind)
     if adapter is None:
         if kind != "signal":
-            close = get_close_matches(kind, [*KINDS, "signal"], n=1)
+            similar_kinds = get_close_matches(kind, [*KINDS, "signal"], n=1)
             if kind in SIGNALS:
-                close = ["signal"]
+                similar_kinds = ["signal"]
                 expected = f"signal: {{kind: {kind}, ...}}"
             else:
-                expected = close[0] if close else f"one of {known}"
+                expected = similar_kinds[0] if similar_kinds else f"one of {kinds}"
             faults.append(document.fault(kind_keys, f"no such step; {expected} was expected"))
-            kind = close[0] if close else "unknown"
+            kind = similar_kinds[0] if similar_kinds else "unknown"
         return ProtocolStep(kind_keys, kind, None)
     try:
         content = adapter.validate_python(settings)
@@ -345,10 +345,11 @@ def _read_step(document: Substituted, raw: Any, keys: Location, faults: list[str
 
 
 def _signal(document: Substituted, settings: Any, keys: Location, faults: list[str]) -> TypeAdapter[Any] | None:
-    known = ", ".join(SIGNALS)
+    """Return the type of a signal by its key `kind`; if there is no such kind, add a fault and return None."""
+    kinds = ", ".join(SIGNALS)
     kind = settings.get("kind") if isinstance(settings, Mapping) else None
     if not isinstance(kind, str) or kind not in SIGNALS:
-        shown = f"{kind!r}: " if isinstance(kind, str) else ""
-        faults.append(document.fault((*keys, "kind"), f"{shown}one of {known} was expected"))
+        kind_text = f"{kind!r}: " if isinstance(kind, str) else ""
+        faults.append(document.fault((*keys, "kind"), f"{kind_text}one of {kinds} was expected"))
         return None
     return SIGNALS[kind]

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-MAX_BYTES = 1 << 28
-MAX_VALUE = 1e6
-MAX_FAULTS = 20  # reported; a file in the wrong unit has a fault in every row
+MAX_BYTES = 1 << 28  # of a file
+MAX_VALUE = 1e6  # magnitude of any number of a file, as of any setpoint
+MAX_FAULTS = 20  # faults that are reported; a file in the wrong unit has one in every row
 
 
 def read(path: Path, column: str | None, spelling: Spelling) -> tuple["Array", "Array"]:
@@ -30,18 +30,20 @@ def read(path: Path, column: str | None, spelling: Spelling) -> tuple["Array", "
     """
     from leactl.tables.columns import Columns, CsvForm
 
-    wanted = column or spelling.setpoint
-    if not wanted.endswith(f"_{spelling.suffix}"):
-        raise InputError(f"column '{wanted}': a name that ends in _{spelling.suffix} was expected")
+    column_name = column or spelling.setpoint
+    if not column_name.endswith(f"_{spelling.suffix}"):
+        raise InputError(f"column '{column_name}': a name that ends in _{spelling.suffix} was expected")
     if not path.is_file():
         raise InputError(f"{path}: no such file")
-    names, form = ("time_s", wanted), CsvForm(comment="", missing=())
+    names, form = ("time_s", column_name), CsvForm(comment="", missing=())
     table = Columns(
         path, form, names, strict=True, most_bytes=MAX_BYTES, most_rows=MAX_SAMPLES + 1, most_faults=MAX_FAULTS
     )
     if any(table.names.count(name) != 1 for name in names):
         present = ", ".join(table.names)[:200] or "nothing"
-        raise InputError(f"{path}: line 1: columns 'time_s' and '{wanted}' were expected, each once; found {present}")
+        raise InputError(
+            f"{path}: line 1: columns 'time_s' and '{column_name}' were expected, each once; found {present}"
+        )
     if len(table.lines) > MAX_SAMPLES:
         raise InputError(f"{path}: more than {MAX_SAMPLES} rows")
     if len(table.lines) < 2:
