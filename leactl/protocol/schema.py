@@ -110,7 +110,7 @@ class BisectLimit(Block):
     unit: Unit
 
     def misfits(self, _steps: Collection[str], searches: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-        """Yield each key at fault, with the reason; `searches` has the setpoint's quantity of each bisection by name."""
+        """Yield each key at fault, with the reason; `searches` has the setpoint's quantity by bisection."""
         yield from _faults_of_bounds(self)
         if self.bisect in searches:
             yield from _faults_of_unit(self.unit, searches[self.bisect], self.bisect)

@@ -27,7 +27,7 @@ from leactl.runfile.verify.integrity import add_note, amend
 from leactl.runfile.write.repack import CHUNK_ROWS, COMPRESSION
 from leactl.runfile.write.run_info import faults_of_channel
 
-START_S = 0.2  # longest time from a run's `created` to its first cycle
+LONGEST_START_S = 0.2  # from a run's `created` to its first cycle
 FEWEST_ROWS = 2
 MOST_TEXT_BYTES = 8000  # bytes of one text: attributes of an object share 64 KiB (HDF5 file format 3.0, IV.A.2.m)
 
@@ -51,10 +51,10 @@ class AlignedRecord:
     def summary_lines(self) -> list[str]:
         """Return lines for people: remarks on the record, the alignment, its uncertainty, and the numbers of rows."""
         middle = float(np.mean((self.time[[0, -1]] - self.alignment.offset) / self.alignment.rate))
-        rows = f"{len(self.time)} rows, {self.time[0]:.6g} to {self.time[-1]:.6g} s of the run"
+        rows_text = f"{len(self.time)} rows, {self.time[0]:.6g} to {self.time[-1]:.6g} s of the run"
         outside_text = f"; {self.left_out} rows outside the run left out" if self.left_out else ""
         uncertainty_text = f"stamps are good to {self.uncertainty:.2g} s (95 %)"
-        return [*self.record.remarks, self.alignment.describe(middle), uncertainty_text, rows + outside_text]
+        return [*self.record.remarks, self.alignment.describe(middle), uncertainty_text, rows_text + outside_text]
 
     def as_json(self) -> dict[str, Any]:
         """Return the same facts as a JSON object."""
@@ -94,21 +94,26 @@ def align_record(record: FileRecord, clock: RecordClock, run: Run) -> AlignedRec
 
 
 def alignment_of(record: FileRecord, clock: RecordClock, run: Run) -> Alignment:
-    """Align the record's clock with the run's by the method that the settings name."""
+    """Align the record's clock with the run's by the method that the settings name.
+
+    Raises
+    ------
+    InputError : a channel is missing, or the method does not find the offset of the clocks.
+    """
     drift = 1e-6 * clock.drift_within_ppm
     if clock.wall_within_s is not None:
-        offset, within = wall_offset(record, run)
-        middle = 0.5 * float(record.time[-1])
-        sd = (clock.wall_within_s + within) / NORMAL_95
-        return fit_alignment("both wall clocks", [Tie(middle, middle + offset, sd)], drift, 0.0)
+        offset, resolution_half_width = wall_offset(record, run)
+        middle_time = 0.5 * float(record.time[-1])
+        tie_sd = (clock.wall_within_s + resolution_half_width) / NORMAL_95
+        return fit_alignment("both wall clocks", [Tie(middle_time, middle_time + offset, tie_sd)], drift, 0.0)
     if clock.offset_s is not None:
-        sd = max((clock.offset_within_s or 0.0) + 0.5 * record.resolution, 1e-9) / NORMAL_95
-        return fit_alignment("a given offset", [Tie(0.0, clock.offset_s, sd)], drift, 0.0)
+        tie_sd = max((clock.offset_within_s or 0.0) + 0.5 * record.resolution, 1e-9) / NORMAL_95
+        return fit_alignment("a given offset", [Tie(0.0, clock.offset_s, tie_sd)], drift, 0.0)
     reference_settings = clock.estimate or clock.onset
     assert reference_settings is not None
     values = record_channel(record, reference_settings.channel)
     reference = run.channel_at(reference_settings.against)
-    near = clock.near_s if clock.near_s is not None else expected_offset(record, run)
+    near_s = clock.near_s if clock.near_s is not None else expected_offset(record, run)
     channels_text = f"{reference_settings.channel} and {reference_settings.against}"
     systematic = clock.delays_within_s + 0.5 * record.resolution
     reference_channel = (reference.time, reference.values)
@@ -119,7 +124,7 @@ def alignment_of(record: FileRecord, clock: RecordClock, run: Run) -> Alignment:
                 reference_channel,
                 reference_settings.within_s,
                 channels_text,
-                near,
+                near_s,
                 drift,
                 systematic,
             )
@@ -129,7 +134,7 @@ def alignment_of(record: FileRecord, clock: RecordClock, run: Run) -> Alignment:
             values,
             *reference_channel,
             clock.onset.jump,
-            near,
+            near_s,
             clock.onset.within_s,
             clock.onset.fit_s,
         )
@@ -138,7 +143,7 @@ def alignment_of(record: FileRecord, clock: RecordClock, run: Run) -> Alignment:
     if not ties:
         raise InputError(
             f"{record.files[0]}: {clock.onset.channel} shows no onset within {clock.onset.within_s:g} s of a jump of"
-            f" {clock.onset.against} by {clock.onset.jump:g} {reference.units}, at offsets around {near:.6g} s"
+            f" {clock.onset.against} by {clock.onset.jump:g} {reference.units}, at offsets around {near_s:.6g} s"
         )
     times = ", ".join(f"{tie.run_time:.3f} s" for tie in ties[:4])
     return fit_alignment(
@@ -176,16 +181,16 @@ def wall_offset(record: FileRecord, run: Run) -> tuple[float, float]:
             "its clock tells no day or no zone; set time.date and time.zone, or tie it by offset_s, estimate or onset"
         )
         raise InputError(f"{record.files[0]}: {message}")
-    text = str(run.attributes.get("created", ""))
+    created_text = str(run.attributes.get("created", ""))
     try:
-        created = datetime.fromisoformat(text)
+        created = datetime.fromisoformat(created_text)
     except ValueError:
-        raise InputError(f"{run.path}: attribute created is {text!r}, no ISO 8601 moment") from None
+        raise InputError(f"{run.path}: attribute created is {created_text!r}, no ISO 8601 moment") from None
     if created.tzinfo is None:
-        raise InputError(f"{run.path}: attribute created, {text}, has no zone")
-    resolution = 0.0 if "." in text else 1.0  # s; whole seconds are truncated, not rounded
-    start = created.timestamp() + 0.5 * (resolution + START_S)
-    return record.began + 0.5 * record.resolution - start, 0.5 * (resolution + START_S + record.resolution)
+        raise InputError(f"{run.path}: attribute created, {created_text}, has no zone")
+    resolution = 0.0 if "." in created_text else 1.0  # s; whole seconds are truncated, not rounded
+    start = created.timestamp() + 0.5 * (resolution + LONGEST_START_S)
+    return record.began + 0.5 * record.resolution - start, 0.5 * (resolution + LONGEST_START_S + record.resolution)
 
 
 def expected_offset(record: FileRecord, run: Run) -> float:
@@ -196,7 +201,7 @@ def expected_offset(record: FileRecord, run: Run) -> float:
         return 0.0
 
 
-def attach(path: Path, joined: AlignedRecord, settings: Mapping[str, Any], driver: str, replace: bool = False) -> None:
+def attach(path: Path, aligned: AlignedRecord, settings: Mapping[str, Any], driver: str, replace: bool = False) -> None:
     """Store an aligned record in its run.
 
     Parameters
@@ -209,19 +214,19 @@ def attach(path: Path, joined: AlignedRecord, settings: Mapping[str, Any], drive
     InputError : the run has a stream of this name, or channels of the same quantity, role and location; or the settings
         are too long to be stored.
     """
-    record = joined.record
+    record = aligned.record
     with Run.open(path) as run:
         refuse_duplicates(run, record, replace)
         checked = run.checked
-    attributes = provenance(joined, settings, driver)
+    attributes = provenance(aligned, settings, driver)
 
     def change(file: Any) -> None:
         streams = file.require_group("streams")
         if record.stream in streams:
             del streams[record.stream]
-        write_stream(streams, joined, attributes, checked)
+        write_stream(streams, aligned, attributes, checked)
         names = ", ".join(source.name for source in record.files)
-        note = f"stream {record.stream} attached from {names}: {joined.alignment.describe()}"
+        note = f"stream {record.stream} attached from {names}: {aligned.alignment.describe()}"
         add_note(file, note, "leactl runs attach")
 
     amend(path, change, apart_from=(f"/streams/{record.stream}",))
@@ -239,29 +244,29 @@ def refuse_duplicates(run: Run, record: FileRecord, replace: bool) -> None:
         elif not replace:
             message = f"stream {record.stream} is attached already, from {attached.get('record_files')}"
             faults.append(f"{message}; --replace puts this record in its place")
-    holders = {
+    paths_by_identity = {
         (spec.quantity, spec.role, spec.location): f"{name}/{spec.name}"
         for name, specs in run.streams.items()
         if name != record.stream
         for spec in specs
     }
     faults += [
-        f"{record.stream}/{spec.name}: same quantity, role and location as {holder}"
+        f"{record.stream}/{spec.name}: same quantity, role and location as {existing_path}"
         for spec in record.channels
-        if (holder := holders.get((spec.quantity, spec.role, spec.location)))
+        if (existing_path := paths_by_identity.get((spec.quantity, spec.role, spec.location)))
     ]
     if faults:
         raise InputError([f"{run.path}: {fault}" for fault in faults])
 
 
-def provenance(joined: AlignedRecord, settings: Mapping[str, Any], driver: str) -> dict[str, str | float | int]:
+def provenance(aligned: AlignedRecord, settings: Mapping[str, Any], driver: str) -> dict[str, str | float | int]:
     """Return the attributes of the stream: files with checksums, settings, remarks and the alignment of the clocks.
 
     Raises
     ------
     InputError : the settings are longer than an attribute may be; cut off, they would be no JSON.
     """
-    record, alignment = joined.record, joined.alignment
+    record, alignment = aligned.record, aligned.alignment
     settings_text = json.dumps(settings, ensure_ascii=False)
     if (size := len(settings_text.encode())) > MOST_TEXT_BYTES:
         raise InputError(f"settings of {driver}: {size} bytes as JSON; {MOST_TEXT_BYTES} at most were expected")
@@ -275,33 +280,33 @@ def provenance(joined: AlignedRecord, settings: Mapping[str, Any], driver: str) 
         "record_sha256": digest_text,  # of several files: digest of their concatenated hexadecimal digests
         "record_driver": driver,
         "record_settings": settings_text,
-        "record_told": cut_to_bytes("\n".join(joined.summary_lines())),
-        "record_rows_left_out": joined.left_out,
+        "record_told": cut_to_bytes("\n".join(aligned.summary_lines())),
+        "record_rows_left_out": aligned.left_out,
         "alignment_method": alignment.method,
         "alignment_offset_s": alignment.offset,
         "alignment_rate": alignment.rate,
-        "alignment_uncertainty_s": joined.uncertainty,
+        "alignment_uncertainty_s": aligned.uncertainty,
         "alignment_drift_uncertainty_ppm": alignment.drift_uncertainty_ppm,
         "alignment_ties": alignment.ties,
     }
 
 
 def cut_to_bytes(text: str) -> str:
-    """Return as much of a text as its attribute holds."""
+    """Return the text cut to the `MOST_TEXT_BYTES` bytes that its attribute may have."""
     return text.encode()[:MOST_TEXT_BYTES].decode("utf-8", "ignore")
 
 
 def write_stream(
-    streams: Any, joined: AlignedRecord, attributes: Mapping[str, str | float | int], checked: bool
+    streams: Any, aligned: AlignedRecord, attributes: Mapping[str, str | float | int], checked: bool
 ) -> None:
     """Write the stream compressed, as the streams of a closed run are; `checked` adds a checksum to each dataset."""
-    record, rows = joined.record, len(joined.time)
+    record, rows = aligned.record, len(aligned.time)
     reserve(streams.file, 8 * rows * (1 + len(record.channels)) + (1 << 16))
     storage = {"shape": (rows,), "maxshape": (None,), "chunks": (min(CHUNK_ROWS, rows),), **COMPRESSION}
     group = layout.create_stream(streams, record.stream, list(record.channels), **storage)
-    group["time"][:] = joined.time
+    group["time"][:] = aligned.time
     for column, spec in enumerate(record.channels):
-        group[spec.name][:] = joined.values[:, column]
+        group[spec.name][:] = aligned.values[:, column]
     for dataset in group.values():
         if checked:
             dataset.attrs["sha256"] = layout.digest(dataset)

@@ -20,9 +20,9 @@ from leactl.runfile.publish import new_file, refuse_existing
 from leactl.runfile.read.reader import Run
 
 Format = Literal["csv", "mat", "parquet"]
-FORMULA = ("=", "+", "-", "@")  # first characters of a cell that a spreadsheet evaluates (OWASP, "CSV injection")
-CONTROL = re.compile("[\x00-\x1f\x7f]")  # for some programs, a single carriage return begins a new row
-FIELD_LENGTH = 63  # MATLAB's longest name
+FORMULA_STARTS = ("=", "+", "-", "@")  # first characters of a formula in a spreadsheet (OWASP, "CSV injection")
+CONTROL_CHARACTERS = re.compile("[\x00-\x1f\x7f]")  # for some programs, a single carriage return begins a new row
+LONGEST_FIELD_NAME = 63  # characters of a name in MATLAB
 
 
 def export(run_path: Path, fmt: str, out: Path) -> list[Path]:
@@ -71,8 +71,8 @@ def csv_writers(run: Run) -> dict[str, Writer]:
 
 def heading(text: str) -> str:
     """Return a heading that no spreadsheet reads as a formula: a leading `=`, `+`, `-` or `@` gets an apostrophe."""
-    plain = CONTROL.sub("\N{REPLACEMENT CHARACTER}", text)
-    return f"'{plain}" if plain.startswith(FORMULA) else plain
+    printable_text = CONTROL_CHARACTERS.sub("\N{REPLACEMENT CHARACTER}", text)
+    return f"'{printable_text}" if printable_text.startswith(FORMULA_STARTS) else printable_text
 
 
 def numerals(column: np.ndarray[Any, Any]) -> Iterator[str]:
@@ -87,14 +87,16 @@ def parquet_writers(run: Run) -> dict[str, Writer]:
     def write(stream: str, target: Path) -> None:
         fields = [arrow.field("time", arrow.float64(), metadata={"units": "s"})]
         for spec in run.streams[stream]:
-            facts = {key: value for key, value in spec._asdict().items() if value and key not in ("name", "dtype")}
-            metadata = {key: str(value) for key, value in facts.items()}
+            stated_fields = {
+                key: value for key, value in spec._asdict().items() if value and key not in ("name", "dtype")
+            }
+            metadata = {key: str(value) for key, value in stated_fields.items()}
             fields.append(arrow.field(spec.name, arrow.from_numpy_dtype(spec.dtype), metadata=metadata))
         schema = arrow.schema(fields, metadata={key: str(value) for key, value in run.attributes.items()})
         with parquet.ParquetWriter(target, schema) as table:
             for block in run.blocks(stream):
-                native = [column.astype(column.dtype.newbyteorder("=")) for column in block.values()]
-                table.write_table(arrow.table([*map(arrow.array, native)], schema=schema))
+                native_columns = [column.astype(column.dtype.newbyteorder("=")) for column in block.values()]
+                table.write_table(arrow.table([*map(arrow.array, native_columns)], schema=schema))
 
     return {f".{stream}.parquet": partial(write, stream) for stream in run.streams}
 
@@ -122,10 +124,10 @@ def mat_writers(run: Run) -> dict[str, Writer]:
 def mat_stream(run: Run, stream: str) -> dict[str, Any]:
     """Return one stream as a struct of channels, each a struct of values, quantity, role, units and names."""
     columns: dict[str, Any] = {"time": run.time(stream)}
-    values = {name: np.concatenate(parts) for name, parts in all_rows(run, stream).items()}
+    values_by_name = {name: np.concatenate(parts) for name, parts in all_rows(run, stream).items()}
     for spec in run.streams[stream]:
-        about = {key: value for key, value in spec._asdict().items() if value and key != "dtype"}
-        columns[spec.name] = matlab_fields({"values": values[spec.name], **about})
+        stated_fields = {key: value for key, value in spec._asdict().items() if value and key != "dtype"}
+        columns[spec.name] = matlab_fields({"values": values_by_name[spec.name], **stated_fields})
     return matlab_fields(columns)
 
 
@@ -142,16 +144,16 @@ def all_rows(run: Run, stream: str) -> dict[str, list[np.ndarray[Any, Any]]]:
 
 def matlab_fields(fields: dict[str, Any]) -> dict[str, Any]:
     """Rename fields to distinct names that MATLAB accepts: letters, digits and underscores, a letter first."""
-    named: dict[str, Any] = {}
+    renamed_fields: dict[str, Any] = {}
     for name, value in fields.items():
-        plain = re.sub(r"\W", "_", name, flags=re.ASCII)
-        plain = (plain if plain[:1].isalpha() else f"x{plain}")[:FIELD_LENGTH]
-        field, number = plain, 1
-        while field in named:
+        valid_name = re.sub(r"\W", "_", name, flags=re.ASCII)
+        valid_name = (valid_name if valid_name[:1].isalpha() else f"x{valid_name}")[:LONGEST_FIELD_NAME]
+        field, number = valid_name, 1
+        while field in renamed_fields:
             number += 1
-            field = f"{plain[: FIELD_LENGTH - 4]}_{number}"
-        named[field] = value
-    return named
+            field = f"{valid_name[: LONGEST_FIELD_NAME - 4]}_{number}"
+        renamed_fields[field] = value
+    return renamed_fields
 
 
 WRITERS: dict[str, Callable[[Run], dict[str, Writer]]] = {

@@ -1,4 +1,4 @@
-"""Facts about an instrument that a bench file or a mapping may state: identity and calibration dates."""
+"""Define the facts about an instrument that a bench file or a mapping may state: identity and calibration dates."""
 
 import re
 from datetime import date
@@ -12,7 +12,7 @@ LONGEST_LINE = 200  # characters of a text that is to be on one line
 
 
 def _iso_date_only(value: Any) -> Any:
-    """Refuse any value but an ISO date, since pydantic would read a number as seconds since 1970."""
+    """Raise ValueError if a text or a number is not an ISO date; pydantic would read a number as seconds since 1970."""
     if isinstance(value, str) and not re.fullmatch(r"\d{4}-\d{2}-\d{2}", value, re.ASCII):
         raise ValueError("a date as 2026-01-31 was expected")
     if isinstance(value, int | float):
@@ -21,7 +21,7 @@ def _iso_date_only(value: Any) -> Any:
 
 
 def _quoted_text_only(value: Any) -> Any:
-    """Refuse an unquoted number, since YAML drops its leading zeros."""
+    """Raise ValueError if the value is an unquoted number, whose leading zeros YAML drops."""
     if isinstance(value, int | float):
         raise ValueError(f'a text was expected: put it in quotes, "{value}"')  # noqa: TRY004 (as above)
     return value
@@ -42,6 +42,7 @@ class Instrument(Block):
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
+        """Raise ValueError if the calibration is due before it was made."""
         if self.calibrated and self.calibration_due and self.calibration_due < self.calibrated:
             raise ValueError(f"calibration_due {self.calibration_due} is before calibrated {self.calibrated}")
         return self

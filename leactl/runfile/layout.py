@@ -36,17 +36,18 @@ ROOT_ATTRIBUTES: Final = (
 )
 CHANNEL_ATTRIBUTES: Final = ("units", "quantity", "role", "device", "long_name")
 SOURCES: Final = ("protocol", "bench", "model")
-OF_SCALES: Final = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS")  # HDF5's own attributes
+# attributes by which HDF5 itself stores dimension scales
+OF_SCALES: Final = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS")
 INSTRUMENT: Final = ("model", "serial", "firmware", "calibrated", "calibration_due")
 
-# Bytes of the fixed-length strings of a live file; SWMR allows no other kind. Numbers have no entry.
+# bytes of a column's strings in a live file, None for numbers; SWMR allows strings of fixed length only
 TABLES: Final[dict[str, dict[str, int | None]]] = {
     "steps": {"name": 128, "start": None, "stop": None, "settle": None, "parameters": 4096},
     "events": {"time": None, "level": 16, "source": 64, "message": 512},
 }
 NOTES: Final[dict[str, int | None]] = {"time": 0, "author": 0, "text": 0}
 
-BLOCK_ROWS: Final = 1 << 18  # 2 MiB of float64 at a time, whatever the length of the run
+BLOCK_ROWS: Final = 1 << 18  # rows that are read at a time: 2 MiB of float64, whatever the length of the run
 TEXT: Final = h5py.string_dtype("utf-8")
 
 
@@ -90,8 +91,8 @@ def describe(file: Any, parameters: Mapping[str, Any], instruments: Mapping[str,
         group.attrs[name] = parameter_value(value)
     group = file.create_group("instruments")
     for device, facts in instruments.items():
-        known = {name: fact for name, fact in facts.items() if fact}
-        for name, fact in known.items():
+        known_facts = {name: fact for name, fact in facts.items() if fact}
+        for name, fact in known_facts.items():
             group.require_group(device).attrs[name] = storable(fact)
 
 
@@ -113,8 +114,11 @@ def instruments(file: Any) -> dict[str, dict[str, str]]:
     """Return the known facts of each device, by its name in the bench file; empty if the file has none."""
     group = file.get("instruments")
     devices = group.items() if isinstance(group, h5py.Group) else ()
-    known = {name: attributes(device) for name, device in devices if isinstance(device, h5py.Group)}
-    return {name: {key: str(facts[key]) for key in INSTRUMENT if key in facts} for name, facts in known.items()}
+    attributes_by_device = {name: attributes(device) for name, device in devices if isinstance(device, h5py.Group)}
+    return {
+        name: {key: str(facts[key]) for key in INSTRUMENT if key in facts}
+        for name, facts in attributes_by_device.items()
+    }
 
 
 def copy_attributes(source: Any, target: Any) -> None:
@@ -161,7 +165,7 @@ def create_stream(streams: Any, name: str, specs: list[ChannelSpec], **storage: 
 
 
 def channel_attributes(spec: ChannelSpec) -> dict[str, str | float]:
-    """Return the attributes of a channel; empty optional ones are left out."""
+    """Return the attributes of a channel, without optional attributes that are empty or 0."""
     required: dict[str, str | float] = {
         "units": spec.unit,
         "quantity": spec.quantity,

@@ -14,6 +14,7 @@ from typing import Final
 
 from leactl.errors import InputError
 
+# numbers of errors of a disk that is full, damaged or read-only
 DISK_FAULTS: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
 
 
@@ -50,7 +51,12 @@ def refuse_existing(target: Path) -> None:
 
 
 def move_without_overwriting(source: Path, target: Path) -> None:
-    """Rename a file; raises InputError if the target exists. A hard link makes check and rename one step."""
+    """Rename a file without overwriting; a hard link makes the check and the rename one step.
+
+    Raises
+    ------
+    InputError : the target exists.
+    """
     try:
         os.link(source, target)
     except FileExistsError:

@@ -40,8 +40,8 @@ def entries(node: Any, path: str = "/") -> Iterator[tuple[str, str]]:
 
 def object_digest(node: Any) -> str:
     """Return the digest of a group or dataset: of its kind, shape, attributes and the stored checksum of its values."""
-    digests = {SEAL, ADDITIONS if node.name == "/" else "sha256" if isinstance(node, h5py.Dataset) else SEAL}
-    attributes = {name: value for name, value in layout.attributes(node).items() if name not in digests}
+    digest_names = {SEAL, ADDITIONS if node.name == "/" else "sha256" if isinstance(node, h5py.Dataset) else SEAL}
+    attributes = {name: value for name, value in layout.attributes(node).items() if name not in digest_names}
     if isinstance(node, h5py.Dataset):
         kind = "text" if layout.is_text(node) else node.dtype.newbyteorder("<").str
         return digest_of(
@@ -110,12 +110,21 @@ def seal_findings(file: Any) -> list[str]:
         return [f"/{SEAL}: the list of what the file held at its close does not match the root's seal"]
     if unlisted := unlisted_content(file[SEAL]):
         return [f"/{SEAL}: holds more than the list of what the file held at its close: {unlisted}"]
-    recorded, present = {row["path"]: row["sha256"] for row in rows}, dict(entries(file))
+    recorded_digests, present_digests = {row["path"]: row["sha256"] for row in rows}, dict(entries(file))
     findings = [
-        *findings_for(topmost(recorded.keys() - present.keys()), "is missing; it was there when the run was closed"),
-        *findings_for(topmost(present.keys() - recorded.keys()), "was not there when the run was closed"),
         *findings_for(
-            {path for path in recorded.keys() & present.keys() if recorded[path] != present[path]},
+            topmost(recorded_digests.keys() - present_digests.keys()),
+            "is missing; it was there when the run was closed",
+        ),
+        *findings_for(
+            topmost(present_digests.keys() - recorded_digests.keys()), "was not there when the run was closed"
+        ),
+        *findings_for(
+            {
+                path
+                for path in recorded_digests.keys() & present_digests.keys()
+                if recorded_digests[path] != present_digests[path]
+            },
             "attributes, kind or checksum are not those of when the run was closed",
         ),
     ]
@@ -132,16 +141,16 @@ def seal_findings(file: Any) -> list[str]:
 def unlisted_content(group: Any) -> str:
     """Return the members and attributes of `/seal` that do not belong to its list and that no digest covers."""
     members = [name for name in group if name not in COLUMNS]
-    columns = {name for column in COLUMNS for name in layout.attributes(group[column])}
-    return ", ".join(map(repr, [*members, *layout.attributes(group), *(columns - {"sha256"})]))
+    column_attributes = {name for column in COLUMNS for name in layout.attributes(group[column])}
+    return ", ".join(map(repr, [*members, *layout.attributes(group), *(column_attributes - {"sha256"})]))
 
 
 def findings_for(paths: Iterable[str], reason: str) -> list[str]:
     """Return a line for each path, or one line for all if there are more than `MOST_LISTED`."""
-    in_order = sorted(paths)
-    if len(in_order) > MOST_LISTED:
-        return [f"{in_order[0]} and {len(in_order) - 1} more: {reason}"]
-    return [f"{path}: {reason}" for path in in_order]
+    sorted_paths = sorted(paths)
+    if len(sorted_paths) > MOST_LISTED:
+        return [f"{sorted_paths[0]} and {len(sorted_paths) - 1} more: {reason}"]
+    return [f"{path}: {reason}" for path in sorted_paths]
 
 
 def topmost(paths: set[str]) -> set[str]:

@@ -72,7 +72,7 @@ def test_likeness_finds_the_offset_and_says_how_well(noise):
     errors, claims = [], []
     for seed in range(6):
         own, reference, offset, rate = pair(seed, noise)
-        found = align_by_similarity(own, reference, 2.0, "a and b", near=5.0, drift_within=DRIFT)
+        found = align_by_similarity(own, reference, 2.0, "a and b", near_s=5.0, drift_within=DRIFT)
         errors.append(found.on_run(np.array([8.0]))[0] - (offset + rate * 8.0))
         claims.append(found.uncertainty(8.0))
     assert np.sum(np.abs(errors) < claims) >= 5
@@ -84,7 +84,7 @@ def test_unlike_channels_and_channels_at_rest_are_refused():
     own, reference, _, _ = pair(1, 0.02)
     noise = np.random.default_rng(0).normal(size=len(own[0]))
     with pytest.raises(InputError, match=r"a and b correlate by 0\.\d+ at best"):
-        align_by_similarity((own[0], noise), reference, 2.0, "a and b", near=5.0)
+        align_by_similarity((own[0], noise), reference, 2.0, "a and b", near_s=5.0)
     ramp = (np.arange(0, 20, 0.01), np.zeros(2000))
     with pytest.raises(InputError, match="correlate"):
         align_by_similarity(ramp, ramp, 2.0, "a and b")
@@ -150,7 +150,7 @@ def rustle(time):
 def test_a_signal_that_repeats_itself_within_the_search_is_refused_with_two_shifts_told(signal, period, noise):
     own, reference = seen_twice(signal, 20.3, noise)
     with pytest.raises(InputError, match=r"a and b are as alike at .*near_s") as refused:
-        align_by_similarity(own, reference, 5.0, "a and b", near=20.0, drift_within=DRIFT)
+        align_by_similarity(own, reference, 5.0, "a and b", near_s=20.0, drift_within=DRIFT)
     one, other = (float(told) for told in re.findall(r"at ([-\d.]+) s", str(refused.value)))
     apart = (one - other) / period
     assert round(apart) != 0
@@ -161,7 +161,7 @@ def test_a_signal_that_repeats_itself_within_the_search_is_refused_with_two_shif
 def test_a_signal_that_repeats_itself_is_aligned_where_the_search_is_shorter_than_its_period(signal):
     for offset in (20.3, 19.95, 20.55):
         own, reference = seen_twice(signal, offset)
-        found = align_by_similarity(own, reference, 0.4, "a and b", near=20.2, drift_within=DRIFT, systematic=UNSEEN)
+        found = align_by_similarity(own, reference, 0.4, "a and b", near_s=20.2, drift_within=DRIFT, systematic=UNSEEN)
         assert found.on_run(np.array([8.0]))[0] - 8.0 == pytest.approx(offset, abs=3 * found.uncertainty(8.0))
 
 
@@ -169,14 +169,14 @@ def test_a_signal_that_repeats_itself_is_aligned_where_the_search_is_shorter_tha
 def test_a_signal_that_never_repeats_itself_whole_is_aligned_over_a_wide_search(signal):
     for offset in (16.2, 20.3037):
         own, reference = seen_twice(signal, offset)
-        found = align_by_similarity(own, reference, 5.0, "a and b", near=20.0, drift_within=DRIFT, systematic=UNSEEN)
+        found = align_by_similarity(own, reference, 5.0, "a and b", near_s=20.0, drift_within=DRIFT, systematic=UNSEEN)
         assert found.on_run(np.array([8.0]))[0] - 8.0 == pytest.approx(offset, abs=3 * found.uncertainty(8.0))
 
 
 @pytest.mark.parametrize(("signal", "offset"), [(stepping, -12.0), (chirp, 53.0)])
 def test_a_record_of_which_the_run_saw_a_part_is_aligned_in_spite_of_shorter_parts_that_fit(signal, offset):
     own, reference = seen_twice(signal, offset, noise=0.05)
-    found = align_by_similarity(own, reference, 14.0, "a and b", near=offset + 3.0, drift_within=DRIFT)
+    found = align_by_similarity(own, reference, 14.0, "a and b", near_s=offset + 3.0, drift_within=DRIFT)
     assert found.on_run(np.array([8.0]))[0] - 8.0 == pytest.approx(offset, abs=3 * found.uncertainty(8.0))
 
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from leactl.errors import InputError
 from leactl.runfile.catalog import summaries
-from leactl.runfile.catalog.run_index import BATCH, NAME, YOUNG_NS, digest_of, list_runs, read, update
+from leactl.runfile.catalog.run_index import BATCH_FILES, NAME, YOUNG_NS, digest_of, list_runs, read, update
 from leactl.runfile.catalog.selection import ordered
 from leactl.runfile.summary import RECORDING, Summary
 from tests.cli.terminal import COMMAND, leactl
@@ -291,25 +291,25 @@ def test_a_list_of_many_files_names_the_index(folder, monkeypatch):
 
 def test_a_stop_keeps_what_was_read(folder, opened, monkeypatch):
     run = min(folder.glob("2026*.h5"))
-    for number in range(2 * BATCH):
+    for number in range(2 * BATCH_FILES):
         aged(shutil.copy(run, folder / f"more-{number:03}.h5"))
 
     def stop(line):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("leactl.runfile.catalog.run_index.PROGRESS_INTERVAL", BATCH)
+    monkeypatch.setattr("leactl.runfile.catalog.run_index.PROGRESS_INTERVAL", BATCH_FILES)
     with pytest.raises(KeyboardInterrupt):
         update(folder, tell=stop)
-    assert len(opened) == len(read(folder / NAME, folder)) == BATCH
+    assert len(opened) == len(read(folder / NAME, folder)) == BATCH_FILES
     every = {path.name for path in folder.glob("*.h5")}
     update(folder)
-    assert sorted(opened[BATCH:]) == sorted(every - ({*opened[:BATCH]} - {*AGAIN}))
+    assert sorted(opened[BATCH_FILES:]) == sorted(every - ({*opened[:BATCH_FILES]} - {*AGAIN}))
     assert list_runs(folder, remark=pytest.fail) == scanned(folder)
 
 
 def test_processes_that_write_at_once_leave_a_whole_index(folder):
     run = min(folder.glob("2026*.h5"))
-    for number in range(2 * BATCH):
+    for number in range(2 * BATCH_FILES):
         aged(shutil.copy(run, folder / f"more-{number:03}.h5"))
     words = [[*COMMAND, "runs", "index", str(folder)], [*COMMAND, "runs", "list", str(folder), "--json"]] * 2
     both = [subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) for line in words]
@@ -335,7 +335,7 @@ def test_the_command_tells_what_it_did(folder):
 
 def test_several_processes_make_the_same_index(folder, tmp_path):
     run = min(folder.glob("2026*.h5"))
-    for number in range(2 * BATCH):
+    for number in range(2 * BATCH_FILES):
         aged(shutil.copy(run, folder / f"more-{number:03}.h5"))
     for processes in (1, 2):
         done = leactl("runs", "index", folder, "--index", tmp_path / f"{processes}.sqlite", "--processes", processes)

@@ -1,6 +1,6 @@
-"""Align two channels that measured the same quantity: where they correlate most, then by ties along the record.
+"""Align two channels that measured the same quantity: first by their correlation, then by ties along the record.
 
-A shift that fits as well elsewhere, or whose peak is no higher than chance, is refused.
+The alignment is refused if another shift fits as well, or if the channels change too little to be compared.
 """
 
 import math
@@ -11,62 +11,62 @@ import numpy.typing as npt
 
 from leactl.errors import InputError
 from leactl.runfile.align.alignment import NORMAL_95, Alignment, Tie, autocorrelated_variance, fit_alignment
-from leactl.runfile.align.correlation_peaks import FAR_APART, FEWEST_COMMON, ends_search, peaks
+from leactl.runfile.align.correlation_peaks import FEWEST_COMMON_SAMPLES, REJECTION_STDS, is_at_end_of_search, peaks
 
 Array = npt.NDArray[np.float64]
 LEAST_CORRELATION = 0.8  # two channels with a lower correlation have measured different quantities
-# of the variance that the best shift explains; a shift that explains less may fit by chance
+# as a share of the squares that the best shift explains; a shift that explains less may fit by chance
 LEAST_EXPLAINED_SHARE = 1.0 / 3.0
 BLOCKS = 12  # parts of the common time, each of which gives a tie
-FEWEST_IN_BLOCK = 30  # samples
-LEAST_SD = 0.01  # of the sampling interval; samples are interpolated linearly
+FEWEST_BLOCK_SAMPLES = 30
+SMALLEST_TIE_SD = 0.01  # as a share of the sampling interval, for the error of linear interpolation
 
 
 def ties_by_similarity(
-    time: Array, values: Array, base: Array, reference: Array, shift: float, rate: float = 1.0
+    time: Array, values: Array, reference_time: Array, reference: Array, shift: float, rate: float = 1.0
 ) -> list[Tie]:
     """Compute ties of two channels that measured the same quantity, one for each block of their common time.
 
-    Near the right shift, the channel is the scaled reference plus the reference's derivative times the error of the
-    shift. Noise of the reference would bias that error towards zero, so that the channel's own derivative serves as
-    the instrumental variable. The channels are compared at the samples of the slower one; the faster one is
-    interpolated.
+    Near the right shift, the channel equals the scaled reference plus the reference's derivative times the error of the
+    shift. Noise of the reference would bias an estimate of that error towards zero; therefore the channel's own
+    derivative serves as instrumental variable. The channels are compared at the stamps of the slower one, to which the
+    faster one is interpolated.
 
     Parameters
     ----------
     time, values : stamps on the device's clock [s] and values of the channel, shape (n,).
-    base, reference : stamps on the run's clock [s] and values of the reference, shape (m,).
+    reference_time, reference : stamps on the run's clock [s] and values of the reference, shape (m,).
     shift, rate : approximate alignment: run time = shift + rate * device time.
     """
     finite, reference_finite = np.isfinite(values), np.isfinite(reference)
-    time, values, base, reference = (
+    time, values, reference_time, reference = (
         shift + rate * time[finite],
         values[finite],
-        base[reference_finite],
+        reference_time[reference_finite],
         reference[reference_finite],
     )
-    channel_is_faster = float(np.median(np.diff(time))) < float(np.median(np.diff(base)))
-    grid = base if channel_is_faster else time
+    channel_is_faster = float(np.median(np.diff(time))) < float(np.median(np.diff(reference_time)))
+    grid = reference_time if channel_is_faster else time
     interval = float(np.median(np.diff(grid)))
-    start, stop = max(time[0], base[0]) + interval, min(time[-1], base[-1]) - interval
+    start, stop = max(time[0], reference_time[0]) + interval, min(time[-1], reference_time[-1]) - interval
     grid = grid[(grid > start) & (grid < stop)]
     channel, channel_slope = value_and_slope(grid, time, values, interval)
-    reference_values, reference_slope = value_and_slope(grid, base, reference, interval)
+    reference_values, reference_slope = value_and_slope(grid, reference_time, reference, interval)
     reference_sd = float(np.std(reference_values))
-    if len(grid) < FEWEST_COMMON or reference_sd == 0.0:
+    if len(grid) < FEWEST_COMMON_SAMPLES or reference_sd == 0.0:
         return []
     gain = math.copysign(
         float(np.std(channel)) / reference_sd,
         float((channel - channel.mean()) @ (reference_values - reference_values.mean())),
     )
-    level = np.stack([reference_values, np.ones(len(grid))], axis=1)
+    scaled_reference = np.stack([reference_values, np.ones(len(grid))], axis=1)
     delay_response, instrument, residual = (
-        residual_of(level, column) for column in (gain * reference_slope, channel_slope, channel)
+        residual_of(scaled_reference, column) for column in (gain * reference_slope, channel_slope, channel)
     )
     if not float(instrument @ delay_response):
         return []
-    blocks = np.array_split(np.arange(len(grid)), max(1, min(BLOCKS, len(grid) // FEWEST_IN_BLOCK)))
-    # the noise of all blocks together, since that of one block would be estimated from a few samples
+    blocks = np.array_split(np.arange(len(grid)), max(1, min(BLOCKS, len(grid) // FEWEST_BLOCK_SAMPLES)))
+    # the noise is estimated from all blocks together, since a single block has too few samples
     common_shift = float(instrument @ residual) / float(instrument @ delay_response)
     scores = instrument * (residual - common_shift * delay_response)
     noise = sum(autocorrelated_variance(scores[block]) for block in blocks) / float(instrument @ instrument)
@@ -76,7 +76,8 @@ def ties_by_similarity(
         projection = float(block_instrument @ block_delay)
         sd = (
             math.hypot(
-                math.sqrt(noise * float(block_instrument @ block_instrument)) / abs(projection), LEAST_SD * interval
+                math.sqrt(noise * float(block_instrument @ block_instrument)) / abs(projection),
+                SMALLEST_TIE_SD * interval,
             )
             if projection
             else math.inf
@@ -100,9 +101,9 @@ def residual_of(regressors: Array, column: Array) -> Array:
 
 
 def value_and_slope(grid: Array, time: Array, values: Array, interval: float) -> tuple[Array, Array]:
-    """Interpolate a channel at the times of a grid, and compute its central difference over +-`interval`."""
-    ahead, behind = np.interp(grid + interval, time, values), np.interp(grid - interval, time, values)
-    return np.interp(grid, time, values), (ahead - behind) / (2.0 * interval)
+    """Return a channel interpolated at the times of a grid [s], and its central difference over +-`interval` [s]."""
+    later_values, earlier_values = np.interp(grid + interval, time, values), np.interp(grid - interval, time, values)
+    return np.interp(grid, time, values), (later_values - earlier_values) / (2.0 * interval)
 
 
 def misfit(channel: tuple[Array, Array], reference: tuple[Array, Array], better: Alignment, worse: Alignment) -> float:
@@ -111,39 +112,44 @@ def misfit(channel: tuple[Array, Array], reference: tuple[Array, Array], better:
     If both fit equally well, their squared residuals are noise of the same kind, and the excess is as uncertain as the
     sum for `better`. A change within one sampling interval does not count, since the time of an edge in it is unknown.
     """
-    (time, values), (base, reference_values) = channel, reference
-    interval = float(np.median(np.diff(base)))
-    # compare no more samples than the reference has: interpolated ones share its noise
+    (time, values), (reference_time, reference_values) = channel, reference
+    interval = float(np.median(np.diff(reference_time)))
+    # no more samples than the reference has, since interpolated samples between two of its samples share their noise
     stride = max(1, round(interval / float(np.median(np.diff(time)))))
     time, values = time[::stride], values[::stride]
     interval = max(interval, float(np.median(np.diff(time))))
     stamps_on_run = [alignment.on_run(time) for alignment in (better, worse)]
-    inside = np.logical_and.reduce([(stamps >= base[0]) & (stamps <= base[-1]) for stamps in stamps_on_run])
-    if inside.sum() < FEWEST_COMMON:
+    is_common = np.logical_and.reduce(
+        [(stamps >= reference_time[0]) & (stamps <= reference_time[-1]) for stamps in stamps_on_run]
+    )
+    if is_common.sum() < FEWEST_COMMON_SAMPLES:
         return 0.0
 
-    def levelled(stamps: Array) -> Array:
-        return np.stack([np.interp(stamps, base, reference_values), np.ones(len(stamps))], axis=1)
+    def regressors_at(stamps: Array) -> Array:
+        return np.stack([np.interp(stamps, reference_time, reference_values), np.ones(len(stamps))], axis=1)
 
-    observed = values[inside]
-    model = levelled(stamps_on_run[0][inside])
-    gain = np.linalg.lstsq(model, observed, rcond=None)[0]
-    squared_residual = (observed - model @ gain) ** 2
-    excess = residual_of(levelled(stamps_on_run[1][inside]), observed) ** 2 - squared_residual
-    half = 0.5 * interval
-    step = (levelled(stamps_on_run[0][inside] + half) - levelled(stamps_on_run[0][inside] - half)) @ gain
-    # the step also contains the noise of two samples, which is no edge
-    edge_excess = max(float(step @ step) - 2.0 * float(squared_residual.sum()), 0.0)
-    sd = math.sqrt(2.0 * autocorrelated_variance(squared_residual, least=1.0))
-    return (float(excess.sum()) - edge_excess) / max(sd, 1e-12 * float(observed @ observed), 1e-300)
+    observed = values[is_common]
+    regressors = regressors_at(stamps_on_run[0][is_common])
+    coefficients = np.linalg.lstsq(regressors, observed, rcond=None)[0]
+    squared_residual = (observed - regressors @ coefficients) ** 2
+    excess_squares = residual_of(regressors_at(stamps_on_run[1][is_common]), observed) ** 2 - squared_residual
+    half_interval = 0.5 * interval
+    interval_change = (
+        regressors_at(stamps_on_run[0][is_common] + half_interval)
+        - regressors_at(stamps_on_run[0][is_common] - half_interval)
+    ) @ coefficients
+    # the change over an interval also contains the noise of two samples, which is no edge
+    edge_squares = max(float(interval_change @ interval_change) - 2.0 * float(squared_residual.sum()), 0.0)
+    sd = math.sqrt(2.0 * autocorrelated_variance(squared_residual, least_share=1.0))
+    return (float(excess_squares.sum()) - edge_squares) / max(sd, 1e-12 * float(observed @ observed), 1e-300)
 
 
 def align_by_similarity(
     channel: tuple[Array, Array],
     reference: tuple[Array, Array],
-    within: float,
+    within_s: float,
     channels_text: str,
-    near: float = 0.0,
+    near_s: float = 0.0,
     drift_within: float = 0.0,
     systematic: float = 0.0,
 ) -> Alignment:
@@ -151,7 +157,7 @@ def align_by_similarity(
 
     Parameters
     ----------
-    near, within : the offsets from near - within to near + within are searched [s].
+    near_s, within_s : the offsets from near_s - within_s to near_s + within_s are searched.
     channels_text : names of both channels, for messages.
     drift_within : bound of the drift; 0 gives one offset for the whole record.
     systematic : constant delay between the two channels (95 %) [s].
@@ -166,30 +172,34 @@ def align_by_similarity(
         (channel[0][finite], channel[1][finite]),
         (reference[0][reference_finite], reference[1][reference_finite]),
     )
-    candidates = peaks(*channel, *reference, within, near)
-    highest_correlation = max((peak.likeness for peak in candidates), default=0.0)
+    candidates = peaks(*channel, *reference, within_s, near_s)
+    highest_correlation = max((peak.correlation for peak in candidates), default=0.0)
     if highest_correlation < LEAST_CORRELATION:
         raise InputError(
             f"{channels_text} correlate by {highest_correlation:.2f} at best; expected {LEAST_CORRELATION} within"
-            f" {within:g} s"
+            f" {within_s:g} s"
         )
     # a short part of a record may fit by chance; if it fits better than the whole record, neither is certain
-    most_explained = max(peak.explained for peak in candidates if peak.likeness >= LEAST_CORRELATION)
-    best = next(peak for peak in candidates if peak.explained >= LEAST_EXPLAINED_SHARE * most_explained)
-    method = f"likeness of {channels_text} ({best.likeness:.3f})"
+    most_explained = max(peak.explained_squares for peak in candidates if peak.correlation >= LEAST_CORRELATION)
+    best = next(peak for peak in candidates if peak.explained_squares >= LEAST_EXPLAINED_SHARE * most_explained)
+    method = f"likeness of {channels_text} ({best.correlation:.3f})"
     alignment = align_near(channel, reference, best.shift, method, drift_within, systematic)
     for rival in candidates:
-        is_long = rival.explained >= LEAST_EXPLAINED_SHARE * most_explained
-        if rival is best or ends_search(rival, within, near) or not (is_long or rival.likeness >= LEAST_CORRELATION):
+        is_long = rival.explained_squares >= LEAST_EXPLAINED_SHARE * most_explained
+        if (
+            rival is best
+            or is_at_end_of_search(rival, within_s, near_s)
+            or not (is_long or rival.correlation >= LEAST_CORRELATION)
+        ):
             continue
         alternative = align_near(channel, reference, rival.shift, method, drift_within, systematic)
-        fits_as_well = misfit(channel, reference, alignment, alternative) <= FAR_APART
-        if fits_as_well if is_long else misfit(channel, reference, alternative, alignment) > FAR_APART:
+        is_equally_good = misfit(channel, reference, alignment, alternative) <= REJECTION_STDS
+        if is_equally_good if is_long else misfit(channel, reference, alternative, alignment) > REJECTION_STDS:
             raise InputError(
                 f"{channels_text} are as alike at {best.shift:.6g} s as at {rival.shift:.6g} s; a smaller within_s"
                 " around the true one (near_s), or another signal, decides"
             )
-    if ends_search(best, within, near):
+    if is_at_end_of_search(best, within_s, near_s):
         raise InputError(
             f"{channels_text} are likest at {best.shift:.6g} s, where the search ends; expected a peak before that"
         )

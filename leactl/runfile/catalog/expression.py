@@ -45,11 +45,11 @@ Value = Callable[[Summary], Any]
 
 @dataclass(frozen=True)
 class NamedValue:
-    """A name in an expression, the kind of its values, and the function that reads a run's value or None."""
+    """A name in an expression, with the kind of its values."""
 
     text: str
     kind: str  # empty for a parameter, which may have values of any kind
-    of: Value
+    of: Value  # function that returns a run's value, or None if the run has none
 
 
 def read_expression(text: str, parameters: Collection[str]) -> Test:
@@ -117,8 +117,8 @@ class _Parser:
                 tree = ast.parse(self._text.strip(), mode="eval")
             return self._test(tree.body)
         except SyntaxError as fault:
-            equals = "; two values are compared by ==" if re.search(r"[^=!<>]=[^=]", self._text) else ""
-            raise self._fault(f"is no expression: {fault.msg}{equals}") from None
+            hint = "; two values are compared by ==" if re.search(r"[^=!<>]=[^=]", self._text) else ""
+            raise self._fault(f"is no expression: {fault.msg}{hint}") from None
         except ValueError as fault:  # a NUL, or a number of thousands of digits
             raise self._fault(f"is no expression: {fault}") from None
 
@@ -181,13 +181,13 @@ class _Parser:
             expected = f"{name.text} is {MOMENT}, such as '2026-01-31' or '2026-01-31T13:00'"
             raise self._fault(f"{expected}; {self._source(node)} is none") from None
         value = name.of
-        inside: Callable[[datetime], bool] = lambda moment: moment == day_start or day_start <= moment < day_end  # noqa: E731
+        is_inside: Callable[[datetime], bool] = lambda moment: moment == day_start or day_start <= moment < day_end  # noqa: E731
         tests: dict[type[ast.cmpop], Callable[[datetime], bool]] = {
-            ast.Eq: inside,
-            ast.NotEq: lambda moment: not inside(moment),
+            ast.Eq: is_inside,
+            ast.NotEq: lambda moment: not is_inside(moment),
             ast.Lt: lambda moment: moment < day_start,
-            ast.LtE: lambda moment: moment < day_start or inside(moment),
-            ast.Gt: lambda moment: moment > day_start and not inside(moment),
+            ast.LtE: lambda moment: moment < day_start or is_inside(moment),
+            ast.Gt: lambda moment: moment > day_start and not is_inside(moment),
             ast.GtE: lambda moment: moment >= day_start,
         }
         test = tests[relation]
@@ -210,12 +210,12 @@ class _Parser:
             " was expected"
         )
 
-    def _none_test(self, left_value: Any, right_value: Any, wanted: bool, node: ast.expr) -> Test:
-        """Return the test of `is None` (`wanted`) or of `is not None`."""
+    def _none_test(self, left_value: Any, right_value: Any, is_none_wanted: bool, node: ast.expr) -> Test:
+        """Return the test of `is None` (`is_none_wanted`) or of `is not None`."""
         if not isinstance(left_value, NamedValue) or right_value is not None:
             raise self._fault(f"is {self._source(node)}: NAME is None was expected; other values are compared by ==")
         value = left_value.of
-        return lambda run: (value(run) is None) == wanted
+        return lambda run: (value(run) is None) == is_none_wanted
 
     def _pattern_test(self, name: Any, pattern: str, node: ast.expr) -> Test:
         """Return the test of `like`: whether the text, or any of the texts, of a run matches a shell pattern."""
@@ -264,30 +264,30 @@ class _Parser:
             f"no run has {name!r}{self._hint(name, [*KINDS, *self._parameters])}; a text stands in quotes"
         )
 
-    def _hint(self, name: str, known: Collection[str]) -> str:
+    def _hint(self, name: str, known_names: Collection[str]) -> str:
         """Return the known name that is closest to a wrong one, or else all known names, as the end of a message."""
-        if close := get_close_matches(name, known, n=1):
-            return f"; did you mean {close[0]!r}"
-        names = sorted(known)
-        more = f" and {len(names) - MOST_NAMES_SHOWN} more" if len(names) > MOST_NAMES_SHOWN else ""
-        return f"; known: {', '.join(names[:MOST_NAMES_SHOWN]) or 'none'}{more}"
+        if similar_names := get_close_matches(name, known_names, n=1):
+            return f"; did you mean {similar_names[0]!r}"
+        names = sorted(known_names)
+        others_text = f" and {len(names) - MOST_NAMES_SHOWN} more" if len(names) > MOST_NAMES_SHOWN else ""
+        return f"; known: {', '.join(names[:MOST_NAMES_SHOWN]) or 'none'}{others_text}"
 
     def _refuse_kind(self, name: NamedValue, constant: Any, node: ast.expr) -> None:
-        """Refuse a comparison with a constant of another kind than the name's values."""
-        expected = {TEXT: str, NUMBER: (int, float), TEXTS: list}.get(name.kind, object)
+        """Raise InputError if a name is compared with a constant of another kind than its values."""
+        expected_types = {TEXT: str, NUMBER: (int, float), TEXTS: list}.get(name.kind, object)
         if constant is None:
             raise self._fault(f"{name.text} is compared with None; is None was expected")
-        if not isinstance(constant, expected):  # type: ignore[arg-type]
-            member = f"; {self._source(node)} in {name.text} asks for a member" if name.kind == TEXTS else ""
-            raise self._fault(f"{name.text} is {name.kind}; {self._source(node)} is none{member}")
+        if not isinstance(constant, expected_types):  # type: ignore[arg-type]
+            hint = f"; {self._source(node)} in {name.text} asks for a member" if name.kind == TEXTS else ""
+            raise self._fault(f"{name.text} is {name.kind}; {self._source(node)} is none{hint}")
 
     def _source(self, node: ast.expr) -> str:
         """Return the text of a node in the expression, shortened for a message."""
         return _shortened(ast.get_source_segment(self._text.strip(), node) or "it")
 
-    def _fault(self, why: str) -> InputError:
-        """Return the error that the expression is refused with."""
-        return InputError(f"--where {_shortened(self._text)}: {why}")
+    def _fault(self, reason: str) -> InputError:
+        """Return the error for an expression that cannot be used."""
+        return InputError(f"--where {_shortened(self._text)}: {reason}")
 
 
 def _shortened(text: str) -> str:

@@ -30,31 +30,31 @@ VERSION: Final = 1  # increases if the meaning of a column changes
 # SQLite file format, 1.3: the file's first bytes, the user version and the application identifier
 MAGIC, VERSION_AT, APPLICATION_AT = b"SQLite format 3\0", slice(60, 64), slice(68, 72)
 MOST_INDEX_BYTES: Final = 1 << 30  # some million runs
-# a file that was changed less than this before it was read may change again within one tick of its file system's
-# clock, which is 2 s on FAT
+# a file that was read within this time after a change may change again without a new time of change, since the file
+# system's clock may advance in steps of up to 2 s (FAT)
 YOUNG_NS: Final = 2 * 10**9
 DIGEST_DIGITS: Final = 64  # of a SHA-256
-BATCH: Final = 32  # runs that are read at a time, in some 0.2 s
-PROGRESS_INTERVAL: Final = 10 * BATCH  # runs from one line of progress to the next
+BATCH_FILES: Final = 32  # files of one job, which takes about 0.2 s
+PROGRESS_INTERVAL: Final = 10 * BATCH_FILES  # runs from one line of progress to the next
 MANY_FILES: Final = 1000  # number of files that takes some seconds to open
 
-KNOWN: Final = Summary._fields[1:-1]  # columns of the index: all fields but the folder and the tags
-STAMP: Final = ("mtime_ns", "ctime_ns", "inode")
+INDEXED_FIELDS: Final = Summary._fields[1:-1]  # all but the folder and the tags
+STAMP_COLUMNS: Final = ("mtime_ns", "ctime_ns", "inode")
 TYPES: Final = {
     **{name: {float: "REAL", int: "INTEGER"}.get(kind, "TEXT") for name, kind in get_type_hints(Summary).items()},
-    **dict.fromkeys(("seed", *STAMP), "INTEGER"),
+    **dict.fromkeys(("seed", *STAMP_COLUMNS), "INTEGER"),
 }
 # condition for a row with a value of a wrong type, since SQLite accepts any type in any column
-MISTYPED: Final = " OR ".join(
+HAS_WRONG_TYPE: Final = " OR ".join(
     f"typeof({name}) NOT IN ('{TYPES[name].lower()}'{', ' + repr('null') if name == 'seed' else ''})"
-    for name in (*KNOWN, *STAMP)
+    for name in (*INDEXED_FIELDS, *STAMP_COLUMNS)
 )
 
 Tell = Callable[[str], None]
 
 
 def ignore(line: str) -> None:
-    """Discard a line."""
+    """Discard a line; the default where nobody reads progress or remarks."""
 
 
 class FileStamp(NamedTuple):
@@ -100,7 +100,7 @@ class Catalogue:
     def refresh(self, workers: Workers = HERE, tell: Tell = ignore) -> None:
         """Read new and changed files, and drop files that no longer exist.
 
-        If it is interrupted, the files read so far are kept.
+        If the reading is interrupted, the summaries read so far are kept.
 
         Parameters
         ----------
@@ -111,35 +111,39 @@ class Catalogue:
         ------
         InputError : the folder cannot be read.
         """
-        known, stamps = self.rows, stamps_of(self.directory)
-        self.gone = len(known.keys() - stamps.keys())
-        due = [name for name, stamp in stamps.items() if name not in known or known[name].stamp != stamp]
-        self.rows = {name: known[name] for name in stamps.keys() - due}
-        began = time.time_ns()
-        batches = [due[at : at + BATCH] for at in range(0, len(due), BATCH)]
+        known_rows, stamps = self.rows, stamps_of(self.directory)
+        self.gone = len(known_rows.keys() - stamps.keys())
+        names_to_read = [
+            name for name, stamp in stamps.items() if name not in known_rows or known_rows[name].stamp != stamp
+        ]
+        self.rows = {name: known_rows[name] for name in stamps.keys() - names_to_read}
+        start_ns = time.time_ns()
+        batches = [names_to_read[first : first + BATCH_FILES] for first in range(0, len(names_to_read), BATCH_FILES)]
         jobs = [(self.directory, batch) for batch in batches]
         try:
-            for done in workers.in_order(_summaries, jobs):
-                for run in done.value():
-                    stamp = stamps[run.file] if is_settled(run, stamps[run.file], began) else UNSETTLED
+            for outcome in workers.in_order(_summaries, jobs):
+                for run in outcome.value():
+                    stamp = stamps[run.file] if is_settled(run, stamps[run.file], start_ns) else UNSETTLED
                     self.rows[run.file] = IndexedRun(stamp, run)
                     self.read += 1
                 if self.read % PROGRESS_INTERVAL == 0:
-                    tell(f"{self.read} of {len(due)} files read")
+                    tell(f"{self.read} of {len(names_to_read)} files read")
         finally:
             self.rows = {name: self.rows[name] for name in stamps if name in self.rows}
-            self.changed = self.changed or self.rows != known
+            self.changed = self.changed or self.rows != known_rows
             if self.changed:
-                self.behind = {name: row.run for name, row in known.items()} != {run.file: run for run in self.runs}
+                self.behind = {name: row.run for name, row in known_rows.items()} != {
+                    run.file: run for run in self.runs
+                }
 
 
-def is_settled(run: Summary, stamp: FileStamp, read_ns: int) -> bool:
+def is_settled(run: Summary, stamp: FileStamp, read_start_ns: int) -> bool:
     """Return whether an unchanged file status will mean unchanged content.
 
     It does not for an unreadable file, since the reason may be outside the file, nor for a file that is still being
     recorded or that was changed just before it was read.
     """
-    return not run.fault and run.status != RECORDING and stamp.mtime_ns < read_ns - YOUNG_NS
+    return not run.fault and run.status != RECORDING and stamp.mtime_ns < read_start_ns - YOUNG_NS
 
 
 def stamps_of(directory: Path) -> dict[str, FileStamp]:
@@ -161,11 +165,11 @@ def stamps_of(directory: Path) -> dict[str, FileStamp]:
 
 def _file_stamp(entry: "os.DirEntry[str]") -> FileStamp:
     try:
-        about = entry.stat()
+        status = entry.stat()
     except OSError:
         return NOT_THERE
     # SQLite's integers have 63 bits and a sign, the inodes of some file systems 64 bits
-    return FileStamp(about.st_size, about.st_mtime_ns, about.st_ctime_ns, about.st_ino & (1 << 63) - 1)
+    return FileStamp(status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino & (1 << 63) - 1)
 
 
 def _summaries(directory: Path, names: Sequence[str]) -> list[Summary]:
@@ -266,7 +270,7 @@ def load_catalogue(directory: Path, path: Path, remark: Tell) -> Catalogue:
 
 
 def refuse_foreign_file(path: Path) -> None:
-    """Refuse to replace a file that is not an index, for example one whose name was given by mistake.
+    """Raise InputError if a path that is to be the index is that of another file, for example by mistake.
 
     Raises
     ------
@@ -274,10 +278,10 @@ def refuse_foreign_file(path: Path) -> None:
     """
     if path.name == NAME or not os.path.lexists(path):
         return
-    head = b""
+    first_bytes = b""
     with suppress(OSError), open_regular(path) as file:
-        head = file.read(APPLICATION_AT.stop)
-    if path.is_dir() or (head and not is_index(head)) or not path.is_file():
+        first_bytes = file.read(APPLICATION_AT.stop)
+    if path.is_dir() or (first_bytes and not is_index(first_bytes)) or not path.is_file():
         raise InputError(f"{path}: is no index of runs and is not replaced; name another file by --index")
 
 
@@ -303,18 +307,18 @@ def read(path: Path, directory: Path) -> dict[str, IndexedRun]:
     if (version := int.from_bytes(data[VERSION_AT], "big")) != VERSION:
         raise UnusableIndex(f"is of version {version}, this program's is {VERSION}")
     # from memory, so that SQLite neither reads a journal in the same folder nor locks the file
-    with closing(sqlite3.connect(":memory:")) as base:
+    with closing(sqlite3.connect(":memory:")) as database:
         try:
-            base.deserialize(data)
-            base.execute("PRAGMA trusted_schema = OFF")
-            if [sql for (sql,) in base.execute("SELECT sql FROM sqlite_schema WHERE sql NOT NULL")] != tables():
+            database.deserialize(data)
+            database.execute("PRAGMA trusted_schema = OFF")
+            if [sql for (sql,) in database.execute("SELECT sql FROM sqlite_schema WHERE sql NOT NULL")] != tables():
                 raise UnusableIndex("has other columns than this program's")
-            (digest,) = base.execute("SELECT sha256 FROM digest").fetchone()
+            (digest,) = database.execute("SELECT sha256 FROM digest").fetchone()
             if not isinstance(digest, str) or len(digest) != DIGEST_DIGITS or digest_of(data, digest) != digest:
                 raise UnusableIndex("is damaged")
-            if base.execute(f"SELECT EXISTS (SELECT * FROM runs WHERE {MISTYPED})").fetchone() != (0,):
+            if database.execute(f"SELECT EXISTS (SELECT * FROM runs WHERE {HAS_WRONG_TYPE})").fetchone() != (0,):
                 raise UnusableIndex("is damaged")
-            return rows_of(base.execute("SELECT * FROM runs"), directory)
+            return rows_of(database.execute("SELECT * FROM runs"), directory)
         except (sqlite3.Error, TypeError, ValueError, RecursionError):
             raise UnusableIndex("is damaged") from None
 
@@ -324,10 +328,10 @@ def rows_of(records: Iterable[tuple[Any, ...]], directory: Path) -> dict[str, In
     parameters: dict[str, Mapping[str, Any]] = {}
     rows = {}
     for record in records:
-        *known, text, mtime_ns, ctime_ns, inode = record
-        if text not in parameters:
-            parameters[text] = dict(json.loads(text))
-        run = Summary._make([directory, *known, parameters[text], ()])
+        *field_values, parameters_text, mtime_ns, ctime_ns, inode = record
+        if parameters_text not in parameters:
+            parameters[parameters_text] = dict(json.loads(parameters_text))
+        run = Summary._make([directory, *field_values, parameters[parameters_text], ()])
         if run.fault:
             run = run._replace(fault=f"{run.path}: {run.fault}")
         rows[run.file] = IndexedRun(FileStamp(run.size, mtime_ns, ctime_ns, inode) if ctime_ns else UNSETTLED, run)
@@ -341,35 +345,35 @@ def save(catalogue: Catalogue, path: Path) -> None:
     ------
     NotWritten : the file cannot be written.
     """
-    with closing(sqlite3.connect(":memory:")) as base:
-        base.execute(f"PRAGMA application_id = {APPLICATION}")
-        base.execute(f"PRAGMA user_version = {VERSION}")
+    with closing(sqlite3.connect(":memory:")) as database:
+        database.execute(f"PRAGMA application_id = {APPLICATION}")
+        database.execute(f"PRAGMA user_version = {VERSION}")
         for table in tables():
-            base.execute(table)
-        mark = token_hex(DIGEST_DIGITS // 2)
-        base.execute("INSERT INTO digest VALUES (?)", (mark,))
-        insert = f"INSERT INTO runs VALUES ({', '.join('?' * (len(KNOWN) + len(STAMP)))})"
+            database.execute(table)
+        placeholder = token_hex(DIGEST_DIGITS // 2)
+        database.execute("INSERT INTO digest VALUES (?)", (placeholder,))
+        insert = f"INSERT INTO runs VALUES ({', '.join('?' * (len(INDEXED_FIELDS) + len(STAMP_COLUMNS)))})"
         for row in catalogue.rows.values():
             # SQLite stores neither names that are not UTF-8 nor numbers beyond 63 bits: such files are read each time
             with suppress(UnicodeEncodeError, OverflowError):
-                base.execute(insert, record_of(row))
-        base.commit()
-        data = base.serialize()
+                database.execute(insert, record_of(row))
+        database.commit()
+        data = database.serialize()
     with replacement(path) as temporary:
-        temporary.write_bytes(data.replace(mark.encode(), digest_of(data, mark).encode()))
+        temporary.write_bytes(data.replace(placeholder.encode(), digest_of(data, placeholder).encode()))
 
 
 def record_of(row: IndexedRun) -> tuple[Any, ...]:
     """Convert a row to a record of the SQLite table."""
-    # the folder may have another path next time
+    # without the path, since the folder may have been moved when the index is read
     run = row.run._replace(fault=row.run.fault.removeprefix(f"{row.run.path}: "))
-    _, *known, parameters, _ = run
-    return *known, json.dumps(dict(parameters)), *row.stamp[1:]
+    _, *field_values, parameters, _ = run
+    return *field_values, json.dumps(dict(parameters)), *row.stamp[1:]
 
 
 def tables() -> list[str]:
     """Return the SQL statements that create the tables."""
-    columns = ", ".join(f"{name} {TYPES[name]}" for name in (*KNOWN, *STAMP))
+    columns = ", ".join(f"{name} {TYPES[name]}" for name in (*INDEXED_FIELDS, *STAMP_COLUMNS))
     return [f"CREATE TABLE runs ({columns})", "CREATE TABLE digest (sha256 TEXT)"]
 
 

@@ -35,12 +35,12 @@ class Selection:
 
     def fits(self, run: Summary) -> bool:
         """Return whether a run meets all criteria; an unreadable run never does."""
-        texts = all(
+        texts_fit = all(
             getattr(self, name) in ("", getattr(run, name)) for name in ("protocol", "actuator", "condition", "status")
         )
-        values = all(_value(run, name) in wanted for name, wanted in self.where.items())
-        known = not run.fault and texts and values and self._in_time(run.created)
-        return known and all(test(run) for test in self.tests)
+        values_fit = all(_value(run, name) in accepted_values for name, accepted_values in self.where.items())
+        meets_criteria = not run.fault and texts_fit and values_fit and self._in_time(run.created)
+        return meets_criteria and all(test(run) for test in self.tests)
 
     def _in_time(self, created: str) -> bool:
         if self.since is None and self.until is None:
@@ -73,7 +73,7 @@ def selection_of(
     wanted_values: dict[str, Sequence[Any]] = {}
     tests: list[Test] = []
     parameters = parameters_of(runs)
-    known = [*sorted(parameters - {*ATTRIBUTES}), *ATTRIBUTES]
+    known_names = [*sorted(parameters - {*ATTRIBUTES}), *ATTRIBUTES]
     for word in where:
         name, _, text = word.partition("=")
         if not is_pair(word):
@@ -81,8 +81,8 @@ def selection_of(
                 tests.append(read_expression(word, parameters))
             except InputError as fault:
                 faults += fault.faults
-        elif name not in known:
-            faults.append(f"--where {word}: no run has a parameter '{name}'; known: {', '.join(known)}")
+        elif name not in known_names:
+            faults.append(f"--where {word}: no run has a parameter '{name}'; known: {', '.join(known_names)}")
         else:
             wanted_values[name] = _values(word, text, faults)
     since_moment, until_moment = _moment("--since", since, 0, faults), _moment("--until", until, 1, faults)
@@ -113,20 +113,22 @@ def ordered(runs: Iterable[Summary], key: str) -> list[Summary]:
     if key in KEYS:
         return sorted(rows, key=lambda run: (bool(run.fault), getattr(run, key)))
     if not any(key in run.parameters for run in rows):
-        known = ", ".join(sorted({name for run in rows for name in run.parameters})) or "none"
-        raise InputError(f"--sort {key}: one of {', '.join(KEYS)}, or a parameter of the runs ({known}), was expected")
+        parameter_names = ", ".join(sorted({name for run in rows for name in run.parameters})) or "none"
+        raise InputError(
+            f"--sort {key}: one of {', '.join(KEYS)}, or a parameter of the runs ({parameter_names}), was expected"
+        )
     return sorted(rows, key=lambda run: _rank(run.parameters.get(key)))
 
 
 def differing(runs: Iterable[Summary]) -> set[tuple[str, str]]:
     """Return the pairs (protocol, parameter) whose value differs between runs of the protocol."""
-    seen: dict[tuple[str, str], list[Any]] = {}
+    values_by_parameter: dict[tuple[str, str], list[Any]] = {}
     for protocol, parameters in _distinct_parameters(runs):
         for name, value in parameters.items():
-            values = seen.setdefault((protocol, name), [])
+            values = values_by_parameter.setdefault((protocol, name), [])
             if value not in values[:2]:  # two different values suffice
                 values.append(value)
-    return {key for key, values in seen.items() if len(values) > 1}
+    return {key for key, values in values_by_parameter.items() if len(values) > 1}
 
 
 def _distinct_parameters(runs: Iterable[Summary]) -> Iterable[tuple[str, Mapping[str, Any]]]:
@@ -147,7 +149,10 @@ def _rank(value: Any) -> tuple[int, float, str]:
 
 
 def _values(word: str, text: str, faults: list[str]) -> Sequence[Any]:
-    """Return the values that match a word: as `--set` reads it and as text; for a list of one, also its only item."""
+    """Return the values that match a word: its text as `--set` reads it, and the text itself.
+
+    For a list of one item, the item matches too. A list that is not YAML adds a fault and has no values.
+    """
     if not text.startswith("["):
         return yamlfile.scalar(text), text
     try:
@@ -158,12 +163,12 @@ def _values(word: str, text: str, faults: list[str]) -> Sequence[Any]:
     return (value, *value) if len(value) == 1 else (value,)
 
 
-def _moment(option: str, text: str, end: int, faults: list[str]) -> datetime | None:
-    """Return the start of a date or moment for `end` 0, and the first moment after it for `end` 1; None if invalid."""
+def _moment(option: str, text: str, edge: int, faults: list[str]) -> datetime | None:
+    """Return start (`edge` 0) or end (1) of a date, or a moment; None if the text is empty or, with a fault, invalid."""
     if not text:
         return None
     try:
-        return span_of(text)[end]
+        return span_of(text)[edge]
     except ValueError:
         faults.append(f"{option} {text}: a date as 2026-01-31 or 2026-01-31T13:00 was expected")
         return None

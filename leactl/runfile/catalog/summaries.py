@@ -61,19 +61,19 @@ def summary(path: Path) -> Summary:
                 parameters=layout.parameters(file),
             )
     except InputError as fault:
-        more = f" (and {len(fault.faults) - 1} more)" if len(fault.faults) > 1 else ""
-        return Summary(path.parent, path.name, size, fault=fault.faults[0] + more)
+        others_text = f" (and {len(fault.faults) - 1} more)" if len(fault.faults) > 1 else ""
+        return Summary(path.parent, path.name, size, fault=fault.faults[0] + others_text)
 
 
 def protocol_text(file: Any) -> str:
     """Return the YAML text of the protocol that the run used; empty if the file has no such scalar text."""
     source = file.get("protocol/source")
     if not isinstance(source, h5py.Dataset) or source.shape != () or not layout.is_text(source):
-        return ""  # an array may be compressed, and its decompressed size has not been checked
+        return ""  # an array may be compressed, and `values=False` leaves its decompressed size unchecked
     return str(layout.to_python(source[()]))
 
 
-@lru_cache(maxsize=64)  # a folder of thousands has runs of a few protocols
+@lru_cache(maxsize=64)  # thousands of runs in a folder share a few protocols
 def analysis_in(protocol: str) -> str:
     """Return the key `analysis` of a protocol's YAML text; empty if it is absent or the text is no YAML.
 
@@ -83,8 +83,8 @@ def analysis_in(protocol: str) -> str:
         data = yamlfile.parse(protocol).data
     except InputError:
         return ""
-    named = data.get("analysis") if isinstance(data, dict) else None
-    return named if isinstance(named, str) else ""
+    analysis = data.get("analysis") if isinstance(data, dict) else None
+    return analysis if isinstance(analysis, str) else ""
 
 
 def duration(times: Sequence[Any]) -> float:

@@ -22,8 +22,8 @@ from leactl.yamlfile import shown
 
 NAME: Final = "tags.json"
 MOST_TAG_BYTES: Final = 1 << 26  # a million runs
-WORD: Final = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}"
-Tag = Annotated[str, Field(pattern=f"^{WORD}$")]
+TAG_PATTERN: Final = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}"
+Tag = Annotated[str, Field(pattern=f"^{TAG_PATTERN}$")]
 
 
 class TagFile(Block):
@@ -43,10 +43,10 @@ class TagFile(Block):
 
     def changed(self, tag: str, runs: Sequence[str], remove: bool) -> "TagFile":
         """Return a copy in which `tag` was added to runs, or removed from them."""
-        before = self.tags.get(tag, ())
-        after = sorted({*before} - {*runs} if remove else {*before, *runs})
+        runs_before = self.tags.get(tag, ())
+        runs_after = sorted({*runs_before} - {*runs} if remove else {*runs_before, *runs})
         other_tags = {name: members for name, members in self.tags.items() if name != tag}
-        return self.model_copy(update={"tags": other_tags | ({tag: tuple(after)} if after else {})})
+        return self.model_copy(update={"tags": other_tags | ({tag: tuple(runs_after)} if runs_after else {})})
 
 
 def with_tags(directory: Path, runs: Sequence[Summary], remark: Callable[[str], None]) -> list[Summary]:
@@ -77,24 +77,24 @@ def change_tags(paths: Sequence[Path], tag: str, remove: bool) -> list[Summary]:
         raise InputError(faults)
     folders: dict[Path, list[Summary]] = {}
     for run in runs:
-        folders.setdefault(run.folder.resolve(), []).append(run)  # once, or its second lock would wait for its first
+        folders.setdefault(run.folder.resolve(), []).append(run)  # one key for each folder, which is locked only once
     with ExitStack() as locks:
-        for folder in sorted(folders):  # in one order, or two processes could wait for one another
+        for folder in sorted(folders):  # all processes lock in the same order, so that they cannot block each other
             locks.enter_context(locked(folder))
-        changed = {
+        new_tag_files = {
             folder: read_tags(folder).changed(tag, [tag_key_of(run) for run in members], remove)
             for folder, members in folders.items()
         }
-        for folder, file in changed.items():
+        for folder, file in new_tag_files.items():
             with replacement(folder / NAME) as path:
                 path.write_text(json.dumps(file.model_dump(), indent=1) + "\n", encoding="utf-8")
-    tags = {folder: file.by_run() for folder, file in changed.items()}
-    return [run._replace(tags=tags[run.folder.resolve()].get(tag_key_of(run), ())) for run in runs]
+    tags_by_run = {folder: file.by_run() for folder, file in new_tag_files.items()}
+    return [run._replace(tags=tags_by_run[run.folder.resolve()].get(tag_key_of(run), ())) for run in runs]
 
 
 def refuse_bad_tag(tag: str) -> None:
     """Raise InputError if a word cannot be a tag, for example a run file because the tag was forgotten."""
-    if is_run_name(tag) or not re.fullmatch(WORD, tag):
+    if is_run_name(tag) or not re.fullmatch(TAG_PATTERN, tag):
         raise InputError(
             f"{shown(tag)} is no tag; a word of letters, digits, '_', '-' and '.' was expected behind the runs"
         )

@@ -18,8 +18,8 @@ SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 # bit 2 for SWMR mode; the end of the file that the writer stored last; and a checksum of all bytes before it
 VERSION_AT, FLAGS_AT, END_AT, CHECKSUM_AT, LENGTH = 8, 11, slice(28, 36), slice(44, 48), 48
 OPEN_FOR_WRITE, SWMR_WRITE = 0x01, 0x04
-WORD: Final = 0xFFFFFFFF
-BLOCK: Final = struct.Struct("<3L")
+WORD_MASK: Final = 0xFFFFFFFF
+WORDS: Final = struct.Struct("<3L")
 
 
 class AsClosed(io.RawIOBase):
@@ -82,18 +82,18 @@ def as_closed(head: bytes, size: int) -> bytes:
 
 def checksum(data: bytes) -> int:
     """Return HDF5's checksum of metadata: Bob Jenkins' lookup3 (public domain), `hashlittle` with initial value 0."""
-    a = b = c = (0xDEADBEEF + len(data)) & WORD
-    for at in range(0, len(data), BLOCK.size):
+    a = b = c = (0xDEADBEEF + len(data)) & WORD_MASK
+    for at in range(0, len(data), WORDS.size):
         if at:
             for turn in (4, 6, 8, 16, 19, 4):
-                a, b, c = b, (c + b) & WORD, ((a - c) & WORD) ^ rotated_left(c, turn)
-        words = BLOCK.unpack(data[at : at + BLOCK.size].ljust(BLOCK.size, b"\0"))
-        a, b, c = ((have + word) & WORD for have, word in zip((a, b, c), words, strict=True))
+                a, b, c = b, (c + b) & WORD_MASK, ((a - c) & WORD_MASK) ^ rotated_left(c, turn)
+        words = WORDS.unpack(data[at : at + WORDS.size].ljust(WORDS.size, b"\0"))
+        a, b, c = ((have + word) & WORD_MASK for have, word in zip((a, b, c), words, strict=True))
     for turn in (14, 11, 25, 16, 4, 14, 24):
-        a, b, c = b, ((c ^ b) - rotated_left(b, turn)) & WORD, a
+        a, b, c = b, ((c ^ b) - rotated_left(b, turn)) & WORD_MASK, a
     return b
 
 
 def rotated_left(word: int, bits: int) -> int:
     """Rotate a word of 32 bits to the left."""
-    return (word << bits | word >> (32 - bits)) & WORD
+    return (word << bits | word >> (32 - bits)) & WORD_MASK

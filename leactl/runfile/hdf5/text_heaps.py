@@ -16,7 +16,7 @@ HEAD: Final = b"GCOL\x01\0\0\0"  # signature, version and reserved bytes; the he
 HEADER: Final = struct.Struct("<8sQ")  # head and length of the heap
 OBJECT: Final = struct.Struct("<HHLQ")  # number, references, reserved, length of the value after this header
 ALIGNMENT: Final = 8  # bytes, of the objects in a heap
-BLOCK: Final = 1 << 22  # bytes that are searched at once
+SEARCH_BYTES: Final = 1 << 22  # bytes that are searched at once
 LONGEST_TEXT_BYTES: Final = 1 << 24  # of one text; HDF5 and Python briefly hold five copies of it
 MOST_HEAP_OBJECTS: Final = 1 << 19  # heaps and their objects; a run has some hundred texts, and three for each event
 
@@ -44,14 +44,14 @@ def longest_text(stream: BinaryIO) -> int:
 
 def heaps(stream: BinaryIO) -> Iterator[int]:
     """Yield the byte offsets of the heaps of a file, read block by block, since it may be larger than the memory."""
-    begin, block = 0, bytes_at(stream, 0, BLOCK)
+    begin, block = 0, bytes_at(stream, 0, SEARCH_BYTES)
     while len(block) >= len(HEAD):
         at = block.find(HEAD)
         while at >= 0:
             yield begin + at
             at = block.find(HEAD, at + len(HEAD))
         begin += len(block) - len(HEAD) + 1  # a head may lie across two blocks
-        block = bytes_at(stream, begin, BLOCK)
+        block = bytes_at(stream, begin, SEARCH_BYTES)
 
 
 def objects(stream: BinaryIO, at: int) -> Iterator[tuple[int, int]]:

@@ -56,9 +56,11 @@ ALIASES: Final = {
     "N": ("n", "newton"),
 }
 ONLY_IN_BRACKETS: Final = ("m", "N", "K")  # after an underscore, these mean "measured", a count and a gain
-UNITS_OF_TWO: Final = ("1/s", "s^-1", "rps")  # ambiguous between rad/s and rev/s: the numbers may decide
+AMBIGUOUS_UNITS: Final = ("1/s", "s^-1", "rps")  # ambiguous between rad/s and rev/s: the numbers may decide
 EVERY_UNIT: Final = tuple(dict.fromkeys((*ALIASES, *(units for known in CONVERSIONS.values() for units in known))))
-BY_LETTERS: Final = {units.replace("*", ""): units for units in EVERY_UNIT if units not in ("1", "%")}  # in brackets
+UNITS_BY_LETTERS: Final = {
+    units.replace("*", ""): units for units in EVERY_UNIT if units not in ("1", "%")
+}  # in brackets
 _AMPERES_OR_VOLTS: Final = re.compile(r"_m?[AV]\Z")
 # `a` after a symbol of one letter is its index: `i_a` is a phase current, `iq_a` is in amperes
 _LOWER_CASE_UNIT: Final = re.compile(r"(?i:cur\w*|i(?:q|d|bus|dc))_a\Z|(?i:volt\w*|[uv](?:q|d|bus|dc|in))_v\Z")
@@ -150,7 +152,7 @@ def is_one_of_phases(name: str, siblings: Collection[str]) -> bool:
 def unknown_unit(name: str) -> str:
     """Return the text in brackets at the end of a name if it looks like an unknown unit; else empty."""
     text = unit_of(name)
-    return text if _UNIT_SIGN.search(text) and not units_in_brackets(name) and text not in UNITS_OF_TWO else ""
+    return text if _UNIT_SIGN.search(text) and not units_in_brackets(name) and text not in AMBIGUOUS_UNITS else ""
 
 
 def without_unit(name: str) -> str:
@@ -165,7 +167,7 @@ def units_in_brackets(name: str) -> str:
     units = unit_of(name)
     if any(units.lower() in known for known in ALIASES.values()):
         return units
-    return BY_LETTERS.get(re.sub(r"[*.· ]", "", units), "")
+    return UNITS_BY_LETTERS.get(re.sub(r"[*.· ]", "", units), "")
 
 
 def units_of(name: str, known: list[str]) -> str:
@@ -177,7 +179,7 @@ def units_of(name: str, known: list[str]) -> str:
         endings.append(tail[-1])  # `angle.deg`, where a letter alone is a name
     for ending in endings:
         for units, aliases in ALIASES.items():
-            is_unit = written or (units not in ONLY_IN_BRACKETS and _case(name, ending, units))
+            is_unit = written or (units not in ONLY_IN_BRACKETS and _case_fits(name, ending, units))
             if is_unit and ending.lower() in aliases and units in known:
                 return units
     if written in known:
@@ -185,7 +187,7 @@ def units_of(name: str, known: list[str]) -> str:
     return rpm_in_words(name) if rpm_in_words(name) in known else ""
 
 
-def _case(name: str, ending: str, units: str) -> bool:
+def _case_fits(name: str, ending: str, units: str) -> bool:
     """Return whether an ending of one letter has the case of its unit, since `_v` and `_a` may be velocity and angle.
 
     After a word for a current or a voltage, the lower-case letter is the unit too.

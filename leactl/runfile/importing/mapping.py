@@ -26,7 +26,11 @@ Name = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Z
 Joint = Annotated[str, StringConstraints(strict=True, pattern=r"^[^\[\]{}]+$")]
 Row = Annotated[int, Field(strict=True, ge=0)]
 Column = Text | Row
-SCALED = ("A", "V", "N*m")  # units of quantities whose calibration uncertainty analyses use; clocks, encoders are exact
+CALIBRATED_UNITS = (
+    "A",
+    "V",
+    "N*m",
+)  # units of quantities whose calibration uncertainty analyses use; clocks, encoders are exact
 CHANNEL_PATH = r"^[^/]+/[^/]+$"  # stream/channel
 PLACEHOLDER: Final = "{joint}"  # in paths: stands for each joint in turn
 
@@ -110,9 +114,9 @@ class ChannelMapping(Block):
 
     @model_validator(mode="after")
     def _scale_std_is_used(self) -> Self:
-        if self.scale_std and UNITS.get(self.quantity) not in SCALED:
+        if self.scale_std and UNITS.get(self.quantity) not in CALIBRATED_UNITS:
             raise self.faulty(
-                [(("scale_std",), f"counts for {', '.join(SCALED)}; nothing reads that of {self.quantity}")]
+                [(("scale_std",), f"counts for {', '.join(CALIBRATED_UNITS)}; nothing reads that of {self.quantity}")]
             )
         return self
 

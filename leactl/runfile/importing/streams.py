@@ -276,7 +276,7 @@ def alignment_of(
         return align_by_similarity(
             (stream.time, stream.channel(clock.estimate.channel)),
             (reference.time, reference.channel(channel)),
-            within=clock.estimate.within_s,
+            within_s=clock.estimate.within_s,
             channels_text=channels_text,
         )
     except InputError as fault:

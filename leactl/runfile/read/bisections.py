@@ -1,4 +1,4 @@
-"""Results of a run's bisections, read from the parameters of the steps that ended them."""
+"""Read the results of a run's bisections from the parameters of the steps that ended them."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ class Searched:
 
     name: str
     outcome: str  # bracketed, not_identifiable
-    lower: float | None  # None where both ends had the same outcome
+    lower: float | None  # None if both ends had the same outcome
     upper: float | None
     resolution: float
     unit: str
@@ -35,4 +35,5 @@ def searches(steps: Sequence[Step]) -> Iterator[Searched]:
 
 
 def _number(value: object) -> float | None:
+    """Return the value as float; None if it is not a number."""
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

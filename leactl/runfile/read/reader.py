@@ -1,4 +1,4 @@
-"""Open a run and read its channels by quantity and role; the file is checked once, when it is opened.
+"""Open a run and read its channels by quantity and role; the file is checked when it is opened.
 
 After `Run.open`, stamps increase strictly, every channel has a value for each stamp, and units are those of the
 quantity. Values are float64; a missed sample is NaN.
@@ -187,11 +187,13 @@ class Run:
         if location is not None:
             matches = [(stream, spec) for stream, spec in matches if spec.location == location]
         if not matches:
-            where = f" at {location!r}" if location is not None else ""
-            raise MissingChannel(f"{self.path}: no {quantity} of {role}{where}; the run has {self._contents()}")
+            location_text = f" at {location!r}" if location is not None else ""
+            raise MissingChannel(f"{self.path}: no {quantity} of {role}{location_text}; the run has {self._contents()}")
         if len(matches) > 1:
-            places = ", ".join(spec.location or f"{stream}/{spec.name}" for stream, spec in matches)
-            raise InputError(f"{self.path}: several channels of {quantity} of {role}: {places}; ask for one location")
+            locations = ", ".join(spec.location or f"{stream}/{spec.name}" for stream, spec in matches)
+            raise InputError(
+                f"{self.path}: several channels of {quantity} of {role}: {locations}; ask for one location"
+            )
         return self._read(*matches[0])
 
     def __getitem__(self, wanted: str | tuple[str, ...]) -> Channel:
@@ -226,8 +228,8 @@ class Run:
         for spec in self.streams.get(stream, ()):
             if spec.name == name:
                 return self._read(stream, spec)
-        known = ", ".join(f"{stream}/{spec.name}" for stream, specs in self.streams.items() for spec in specs)
-        raise MissingChannel(f"{self.path}: no channel {channel_path}; the run has {known or 'none'}")
+        paths = ", ".join(f"{stream}/{spec.name}" for stream, specs in self.streams.items() for spec in specs)
+        raise MissingChannel(f"{self.path}: no channel {channel_path}; the run has {paths or 'none'}")
 
     def attached(self, stream: str) -> dict[str, Any]:
         """Return provenance and clock alignment of a stream that was attached later; empty for a recorded one."""
@@ -285,10 +287,10 @@ class Run:
         return [(stream, spec) for stream, spec in all_specs if (spec.quantity, spec.role) == (quantity, role)]
 
     def _contents(self) -> str:
-        named = {
+        descriptions = {
             f"{spec.quantity} of {spec.role}" for specs in self.streams.values() for spec in specs if spec.quantity
         }
-        return ", ".join(sorted(named)) or "no channel"
+        return ", ".join(sorted(descriptions)) or "no channel"
 
     def _read(self, stream: str, spec: ChannelSpec) -> Channel:
         return self.section(stream, spec, 0, self.rows[stream])
@@ -324,24 +326,33 @@ class Run:
     def _parameters(self, index: int, text: str) -> dict[str, Any]:
         try:
             parameters = json.loads(text or "{}")
-        except (ValueError, RecursionError):  # the latter of thousands of brackets
+        except (ValueError, RecursionError):  # RecursionError for thousands of nested brackets
             parameters = None
         if not isinstance(parameters, dict):
             raise InputError(f"{self.path}: /steps/parameters[{index}]: {shown(text)} is not a JSON object")
         return parameters
 
     def _table(self, name: str, columns: dict[str, int | None]) -> list[tuple[Any, ...]]:
-        """Return the rows of a table of parallel arrays; empty if it is absent, cut to the shortest if unfinished."""
+        """Return the rows of a table of parallel arrays, cut to the shortest column if the file is unfinished.
+
+        Empty if the file has no such table.
+
+        Raises
+        ------
+        InputError : the table lacks a column, or the columns of a closed file differ in length.
+        """
         if name not in self._file:
             return []
         with reading(self.path, f"/{name}"):
             group = self._file[name]
-            if lacking := [column for column in columns if column not in group]:
-                raise InputError(f"{self.path}: /{name}: no {', '.join(lacking)}")
+            if missing_columns := [column for column in columns if column not in group]:
+                raise InputError(f"{self.path}: /{name}: no {', '.join(missing_columns)}")
             if name in layout.TABLES and not self.unfinished and (faults := faults_of_table(group, name)):
                 raise InputError([f"{self.path}: {fault}" for fault in faults])
-            cells = [layout.texts(group[c]) if layout.is_text(group[c]) else group[c][()].tolist() for c in columns]
-        return list(zip(*cells, strict=False))
+            columns_of_cells = [
+                layout.texts(group[c]) if layout.is_text(group[c]) else group[c][()].tolist() for c in columns
+            ]
+        return list(zip(*columns_of_cells, strict=False))
 
 
 def channel_specs(group: Any) -> list[ChannelSpec]:

@@ -1,4 +1,4 @@
-"""Checks of a run's streams before they are used: shapes, lengths, units, and strictly increasing stamps."""
+"""Check a run's streams before they are used: shapes, lengths, units, and strictly increasing stamps."""
 
 import math
 from typing import Any
@@ -58,7 +58,7 @@ def faults_of_columns(hdf5_path: str, group: Any, unfinished: bool) -> list[str]
 
 
 def faults_of_units(hdf5_path: str, attributes: dict[str, Any]) -> list[str]:
-    """Return a line if the units are not those of the quantity; one outside the vocabulary may have any units."""
+    """Return a line if the units are not those of the quantity; an unknown quantity may have any units."""
     expected = accepted_units(str(attributes.get("quantity", "")))
     if not expected or attributes.get("units") in expected:
         return []
@@ -71,10 +71,10 @@ def faults_of_units(hdf5_path: str, attributes: dict[str, Any]) -> list[str]:
 def faults_of_numbers(hdf5_path: str, attributes: dict[str, Any]) -> list[str]:
     """Return a line for `skew` [s] if it is no finite number, and for `scale_std` if it is no number from 0 to 1."""
     faults = []
-    for name, least, most in (("skew", -math.inf, math.inf), ("scale_std", 0.0, 1.0)):
+    for name, lowest, highest in (("skew", -math.inf, math.inf), ("scale_std", 0.0, 1.0)):
         value = attributes.get(name, 0.0)
-        if not (isinstance(value, int | float) and math.isfinite(value) and least <= value <= most):
-            expected = "a finite number" if math.isinf(most) else f"a number from {least:g} to {most:g}"
+        if not (isinstance(value, int | float) and math.isfinite(value) and lowest <= value <= highest):
+            expected = "a finite number" if math.isinf(highest) else f"a number from {lowest:g} to {highest:g}"
             faults.append(f"{hdf5_path}: {name} is {shown(value)}; {expected} was expected")
     return faults
 
@@ -84,21 +84,21 @@ def faults_of_time(hdf5_path: str, time: Any) -> list[str]:
     good_rows = increasing_rows(time, len(time))
     if good_rows == len(time):
         return []
-    before = f" after {time[good_rows - 1]!s}" if good_rows else ""
-    return [f"{hdf5_path}[{good_rows}]: {time[good_rows]!s}{before}; time must be finite and increase strictly"]
+    previous_text = f" after {time[good_rows - 1]!s}" if good_rows else ""
+    return [f"{hdf5_path}[{good_rows}]: {time[good_rows]!s}{previous_text}; time must be finite and increase strictly"]
 
 
 def increasing_rows(time: Any, rows: int) -> int:
     """Return the number of leading stamps, out of `rows`, that are finite and strictly increasing."""
-    before = -math.inf
+    previous = -math.inf
     for start in range(0, rows, layout.BLOCK_ROWS):
         stamps = time[start : min(start + layout.BLOCK_ROWS, rows)]
-        wrong = ~np.isfinite(stamps)
-        wrong[1:] |= ~(stamps[1:] > stamps[:-1])
-        wrong[0] |= ~(stamps[0] > before)
-        if wrong.any():
-            return start + int(np.argmax(wrong))
-        before = stamps[-1]
+        is_faulty = ~np.isfinite(stamps)
+        is_faulty[1:] |= ~(stamps[1:] > stamps[:-1])
+        is_faulty[0] |= ~(stamps[0] > previous)
+        if is_faulty.any():
+            return start + int(np.argmax(is_faulty))
+        previous = stamps[-1]
     return rows
 
 

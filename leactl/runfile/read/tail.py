@@ -50,7 +50,7 @@ class RunTail:
 
         Parameters
         ----------
-        words : choose channels as in `channel_names`; without any, those of the stream with most channels are read.
+        words : choose channels as in `channel_names`; if empty, the channels of the stream with most channels are read.
         rows : number of rows of each stream that the first call of `read` returns.
 
         Raises
@@ -61,12 +61,12 @@ class RunTail:
         self._path = path
         with Run.open(path) as run:
             chosen = channel_names(run, list(words))
-            widest = max(run.streams, key=lambda stream: len(run.streams[stream]), default="")
+            widest_stream = max(run.streams, key=lambda stream: len(run.streams[stream]), default="")
             self._channels = {
                 stream: specs_shown
                 for stream, specs in run.streams.items()
                 if (specs_shown := [spec for spec in specs if f"{stream}/{spec.name}" in chosen])
-                and (words or stream == widest)
+                and (words or stream == widest_stream)
             }
             self.other_streams = tuple(name for name in run.streams if name not in self._channels)
             self._next = {stream: max(run.rows[stream] - rows, 0) for stream in self._channels}
@@ -83,7 +83,7 @@ class RunTail:
         return f"{self._status}: {self._reason}" if self._reason else self._status
 
     def unwritten_s(self) -> float:
-        """Return the time since the file was written last [s], by this computer's clock; 0 if it is gone."""
+        """Return the time since the file was last written [s], by this computer's clock; 0 if the file is gone."""
         try:
             return max(time.time() - self._path.stat().st_mtime, 0.0)
         except OSError:
@@ -100,8 +100,8 @@ class RunTail:
             if not all(self._is_continued(run, stream) for stream in self._channels):
                 raise InputError(f"{self._path}: has become the file of another run; begin anew")
             self._note_status(run)
-            added = [self._rows_of(run, stream) for stream in self._channels]
-        return [rows for rows in added if len(rows)]
+            added_rows = [self._rows_of(run, stream) for stream in self._channels]
+        return [rows for rows in added_rows if len(rows)]
 
     def _note_status(self, run: Run) -> None:
         self._status = run.status

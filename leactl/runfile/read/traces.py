@@ -1,4 +1,4 @@
-"""Channels of a run for plots: chosen by name, cut to a part of the run, thinned to the range in each bin."""
+"""Prepare channels of a run for plots: choose them by name, cut them to a part of the run, thin them by bins."""
 
 import difflib
 import math
@@ -24,7 +24,7 @@ class ChannelTrace:
     channel: Channel
     time: Array  # s since the run's start
     values: Array  # NaN where nothing was measured
-    samples_per_bin: float  # 1 where every sample is there
+    samples_per_bin: float  # 1 if the trace has every sample
 
     def as_json(self) -> dict[str, Any]:
         """Return the trace as a JSON object; a missing sample is null."""
@@ -67,20 +67,22 @@ def chosen_channels(
     ------
     MissingChannel : a word chooses no channel; the message lists the channels.
     """
-    known = {f"{stream}/{spec.name}": spec for stream, specs in streams.items() for spec in specs}
+    specs_by_name = {f"{stream}/{spec.name}": spec for stream, specs in streams.items() for spec in specs}
     chosen: list[str] = []
     for word in words:
         matches = [
             name
-            for name, spec in known.items()
+            for name, spec in specs_by_name.items()
             if word in (name, spec.name, spec.quantity, f"{spec.quantity}:{spec.role}")
         ]
         if not matches:
-            nearest = difflib.get_close_matches(word, [spec.name for spec in known.values()], 1)
+            nearest = difflib.get_close_matches(word, [spec.name for spec in specs_by_name.values()], 1)
             hint = f"; did you mean {nearest[0]!r}" if nearest else ""
-            raise MissingChannel(f"{message_prefix}no channel {word!r}{hint}; {owner} has {', '.join(known) or 'none'}")
+            raise MissingChannel(
+                f"{message_prefix}no channel {word!r}{hint}; {owner} has {', '.join(specs_by_name) or 'none'}"
+            )
         chosen += [name for name in matches if name not in chosen]
-    return chosen if words else list(known)
+    return chosen if words else list(specs_by_name)
 
 
 def part_of_run(run: Run, step: str, start: float | None, stop: float | None) -> tuple[float, float]:
@@ -114,8 +116,8 @@ def channel_trace(run: Run, name: str, start: float, stop: float, bins: int) -> 
 
 def trace_of(name: str, channel: Channel, start: float, stop: float, bins: int) -> ChannelTrace:
     """Return a channel between two times [s]: its samples, or the range in each bin if there are over two per bin."""
-    inside = (channel.time >= start) & (channel.time <= stop)
-    time, values = channel.time[inside], channel.values[inside]
+    is_inside = (channel.time >= start) & (channel.time <= stop)
+    time, values = channel.time[is_inside], channel.values[is_inside]
     if len(time) <= 2 * bins:
         return ChannelTrace(name, channel, time, values, 1.0)
     edges = np.linspace(start, stop, bins + 1)
@@ -124,7 +126,7 @@ def trace_of(name: str, channel: Channel, start: float, stop: float, bins: int) 
     finite = np.isfinite(values)
     np.minimum.at(low, bin_of[finite], values[finite])
     np.maximum.at(high, bin_of[finite], values[finite])
-    empty = low > high
-    low[empty], high[empty] = np.nan, np.nan
+    is_empty = low > high
+    low[is_empty], high[is_empty] = np.nan, np.nan
     centres = (edges[:-1] + edges[1:]) / 2
     return ChannelTrace(name, channel, np.repeat(centres, 2), np.stack([low, high], axis=1).ravel(), len(time) / bins)

@@ -29,11 +29,13 @@ def dataset(run: "Run") -> "xarray.Dataset":
 
 
 def _name(spec: ChannelSpec) -> str:
+    """Return the variable's name: role, quantity and location of the channel."""
     return "_".join(filter(None, (spec.role, spec.quantity or spec.name, spec.location)))
 
 
 def _about(spec: ChannelSpec) -> dict[str, object]:
-    about = {
+    """Return the attributes of the variable, without empty ones and zeros."""
+    attributes = {
         "units": spec.units,
         "long_name": spec.long_name,
         "quantity": spec.quantity,
@@ -44,4 +46,4 @@ def _about(spec: ChannelSpec) -> dict[str, object]:
         "skew_s": spec.skew_s,
         "scale_std": spec.scale_std,
     }
-    return {name: value for name, value in about.items() if value not in ("", 0.0)}
+    return {name: value for name, value in attributes.items() if value not in ("", 0.0)}

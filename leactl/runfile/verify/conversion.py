@@ -25,7 +25,7 @@ def convert(path: Path) -> None:
     with Run.open(path) as run:
         if run.unfinished:
             raise InputError(f"{path}: still being written or left by a kill; close or recover it first")
-    before = checksums(path)
+    checksums_before = checksums(path)
     with replacement(path) as copy:
         source, _ = open_run_file(path)
         with source, reading(path), h5py.File(copy, "w", libver=layout.HDF5_FORMAT) as target:
@@ -33,7 +33,7 @@ def convert(path: Path) -> None:
             copy_group(source, target)
             attach_scales(source, target)
         trim(copy)
-        if checksums(copy) != before:
+        if checksums(copy) != checksums_before:
             raise InputError(f"{path}: the rewritten copy does not hold the same values; the file is as it was")
 
 

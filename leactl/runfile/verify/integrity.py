@@ -23,7 +23,7 @@ from leactl.runfile.read.stream_checks import faults_of_streams, uneven_tables, 
 from leactl.runfile.summary import RECORDING, STATUSES
 from leactl.runfile.write.repack import repack, text_bytes, write_table
 
-ALL_PARTS = "values, names and attributes"
+ALL_PARTS = "values, names and attributes"  # parts of a file that checksums and seal cover together
 
 
 @dataclass(frozen=True)
@@ -38,14 +38,14 @@ class Examination:
     @property
     def summary(self) -> str:
         """One line for people: the status of a sound run, and which parts of the file are known to be unchanged."""
-        how = self.status or "no status"
+        status_text = self.status or "no status"
         if not self.covered:
-            return f"{how}; no checksums: nothing tells whether it was changed"
-        names = "" if self.covered == ALL_PARTS else "; no seal: names and attributes are not covered"
-        return f"{how}; {self.covered} are as they were closed{names}"
+            return f"{status_text}; no checksums: nothing tells whether it was changed"
+        coverage_hint = "" if self.covered == ALL_PARTS else "; no seal: names and attributes are not covered"
+        return f"{status_text}; {self.covered} are as they were closed{coverage_hint}"
 
     def as_json(self) -> dict[str, Any]:
-        """Return the same as a JSON object."""
+        """Return the result as a JSON object."""
         covered = self.covered or None
         return {"run": str(self.path), "status": self.status, "covered": covered, "findings": self.findings}
 
@@ -125,15 +125,15 @@ def unfinished_findings(file: Any, live: bool) -> list[str]:
 
 def missing_attributes(file: Any) -> list[str]:
     """Return one line for each required attribute that the file lacks."""
-    expected: list[tuple[str, Any, tuple[str, ...]]] = [("", file, layout.ROOT_ATTRIBUTES)]
+    expected_names: list[tuple[str, Any, tuple[str, ...]]] = [("", file, layout.ROOT_ATTRIBUTES)]
     if "mechanical" not in layout.attributes(file.get("setup", file)):
-        expected.append(("/setup", file.get("setup", file), ("mechanical",)))
+        expected_names.append(("/setup", file.get("setup", file), ("mechanical",)))
     for hdf5_path, dataset in layout.datasets(file.get("streams", {}), "/streams"):
         if not hdf5_path.endswith("/time"):
-            expected.append((hdf5_path, dataset, layout.CHANNEL_ATTRIBUTES))
+            expected_names.append((hdf5_path, dataset, layout.CHANNEL_ATTRIBUTES))
     return [
         f"{hdf5_path or '/'}: no attribute {name!r}"
-        for hdf5_path, node, names in expected
+        for hdf5_path, node, names in expected_names
         for name in names
         if name not in node.attrs
     ]
@@ -148,8 +148,8 @@ def wrong_checksums(file: Any) -> list[str]:
     }
     unchecked = [hdf5_path for hdf5_path, expected in stored.items() if not expected]
     if unchecked and any(sha for hdf5_path, sha in stored.items() if not hdf5_path.startswith("/notes/")):
-        more = f" and {len(unchecked) - 1} more" if len(unchecked) > 1 else ""
-        findings.append(f"{unchecked[0]}{more}: no checksum, though other datasets have one")
+        others_text = f" and {len(unchecked) - 1} more" if len(unchecked) > 1 else ""
+        findings.append(f"{unchecked[0]}{others_text}: no checksum, though other datasets have one")
     for hdf5_path, expected in stored.items():
         if not expected:
             continue
@@ -207,8 +207,8 @@ def recorded_tables(file: Any) -> dict[str, list[dict[str, Any]]]:
     tables = {}
     for name, columns in layout.TABLES.items():
         group = file.get(name, {})
-        cells = [read_cells(group, column) for column in columns]
-        tables[name] = [dict(zip(columns, row, strict=True)) for row in zip(*cells, strict=False)]
+        columns_of_cells = [read_cells(group, column) for column in columns]
+        tables[name] = [dict(zip(columns, row, strict=True)) for row in zip(*columns_of_cells, strict=False)]
     return tables
 
 
@@ -248,7 +248,7 @@ def amend(path: Path, change: Callable[[Any], None], apart_from: Sequence[str] =
         if run.unfinished:
             raise InputError(f"{path}: still being written or left by a kill; close or recover it first")
     apart_from = ("/notes", *apart_from)
-    before = checksums(path, apart_from)
+    checksums_before = checksums(path, apart_from)
     with replacement(path) as copy:
         shutil.copy2(path, copy)
         # a run of a newer format can be opened for writing only with "latest"; new objects get the oldest format
@@ -256,7 +256,7 @@ def amend(path: Path, change: Callable[[Any], None], apart_from: Sequence[str] =
             change(file)
             seal.seal_additions(file, apart_from)
         trim(copy)
-        if checksums(copy, apart_from) != before:
+        if checksums(copy, apart_from) != checksums_before:
             raise InputError(f"{path}: the changed copy does not hold the same values; the file is as it was")
 
 

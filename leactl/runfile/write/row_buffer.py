@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-START_ROWS = 4096
+INITIAL_ROWS = 4096  # of a stream's buffer; it grows if a flush comes late
 
 
 class RowBuffer:
@@ -16,8 +16,8 @@ class RowBuffer:
 
     def __init__(self, channels: int) -> None:
         self._channels = channels
-        self._row = struct.Struct(f"={channels + 1}d")  # half the time of numpy assignments
-        self._rows = np.empty((START_ROWS, channels + 1))
+        self._row = struct.Struct(f"={channels + 1}d")  # packing takes half the time of assignments to the array
+        self._rows = np.empty((INITIAL_ROWS, channels + 1))
         self._spare = np.empty_like(self._rows)
         self._count = 0
         self._last = -math.inf
@@ -42,15 +42,15 @@ class RowBuffer:
             self._last = time
             self._count = count + 1
 
-    def append(self, times: np.ndarray[Any, Any], block: np.ndarray[Any, Any]) -> None:
-        """Add rows, `times` (n,) and `block` (n, channels): all of them, or none if one is wrong.
+    def append(self, stamps: np.ndarray[Any, Any], values: np.ndarray[Any, Any]) -> None:
+        """Add rows, `stamps` (n,) and `values` (n, channels): all of them, or none if one is wrong.
 
         Raises
         ------
         ValueError : wrong shapes, or stamps that do not increase.
         """
-        stamps = np.asarray(times, "f8")
-        values = np.asarray(block, "f8")
+        stamps = np.asarray(stamps, "f8")
+        values = np.asarray(values, "f8")
         if stamps.ndim != 1 or values.shape != (len(stamps), self._channels):
             raise ValueError(f"block of shape {values.shape} for {stamps.shape} stamps and {self._channels} channels")
         if not len(stamps):
@@ -75,7 +75,8 @@ class RowBuffer:
             self._count = 0
             return filled_rows
 
-    def _grow(self, least: int) -> None:
-        rows = np.empty((max(least, 2 * len(self._rows)), self._channels + 1))
+    def _grow(self, least_rows: int) -> None:
+        """Move the rows to an array of at least `least_rows` rows and at least twice the present size."""
+        rows = np.empty((max(least_rows, 2 * len(self._rows)), self._channels + 1))
         rows[: self._count] = self._rows[: self._count]
         self._rows = rows

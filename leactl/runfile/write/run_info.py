@@ -1,4 +1,4 @@
-"""What a run states before it starts (its root attributes, its name), and the checks that it fits the file format."""
+"""Define the description of a run before it starts, its identifier, and the checks that both fit the file format."""
 
 import re
 import secrets
@@ -34,10 +34,10 @@ class RunInfo:
     instruments: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # of each device, `layout.INSTRUMENT`
 
 
-def new_run_id(protocol: str, when: datetime) -> str:
+def new_run_id(protocol: str, start: datetime) -> str:
     """Return a new run identifier, sortable by time, with random last digits: `20261120T101530Z-friction-7f3a`."""
     slug = re.sub(r"[^a-z0-9]+", "-", protocol.lower()).strip("-") or "run"
-    return f"{when.astimezone(UTC):%Y%m%dT%H%M%SZ}-{slug}-{secrets.token_hex(2)}"
+    return f"{start.astimezone(UTC):%Y%m%dT%H%M%SZ}-{slug}-{secrets.token_hex(2)}"
 
 
 def faults_of(info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> list[str]:
@@ -50,7 +50,7 @@ def faults_of(info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> li
     faults += [
         f"sources: {name!r} is none of {', '.join(layout.SOURCES)}" for name in info.sources.keys() - {*layout.SOURCES}
     ]
-    seen: dict[tuple[str, str, str], str] = {}
+    path_by_identity: dict[tuple[str, str, str], str] = {}
     for stream, specs in streams.items():
         names = [spec.name for spec in specs]
         for spec in specs:
@@ -58,9 +58,9 @@ def faults_of(info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> li
             faults += faults_of_channel(channel_path, spec)
             if names.count(spec.name) > 1:
                 faults.append(f"{channel_path}: the name occurs twice in its stream")
-            known = seen.setdefault((spec.quantity, spec.role, spec.location), channel_path)
-            if known != channel_path:
-                faults.append(f"{channel_path}: same quantity, role and location as {known}; give each a location")
+            first_path = path_by_identity.setdefault((spec.quantity, spec.role, spec.location), channel_path)
+            if first_path != channel_path:
+                faults.append(f"{channel_path}: same quantity, role and location as {first_path}; give each a location")
     return faults
 
 

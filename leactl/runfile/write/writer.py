@@ -32,9 +32,10 @@ from leactl.runfile.write.run_info import RunInfo, faults_of, new_run_id
 
 __all__ = ["RecordingFailed", "RunInfo", "RunWriter", "new_run_id"]
 
-LIVE_CHUNK_ROWS = 1 << 12
-LIVE_TABLE_ROWS = 16
-# of each dataset, for its last two chunks; HDF5's default of 8 MiB (2.0) is 160 MB for 20 channels in a night
+LIVE_CHUNK_ROWS = 1 << 12  # of a channel in a live file
+LIVE_TABLE_ROWS = 16  # rows of a chunk of `/steps` and `/events` in a live file
+# chunk cache of each dataset, for its last two chunks; with HDF5 2.0's default of 8 MiB, 20 channels would fill 160 MB
+# in the course of a night
 LIVE_CACHE_BYTES = 1 << 16
 COLUMN_BYTES = 8192  # upper bound of the attributes and index of one dataset
 
@@ -70,46 +71,46 @@ class RunWriter:
         self._tables: dict[str, list[dict[str, Any]]] = {name: [] for name in layout.TABLES}
         self.heard: dict[str, Callable[[Mapping[str, Any]], None]] = {}  # listener for the rows of a table, by its name
         self._tables_written = dict.fromkeys(layout.TABLES, 0)
-        partial = directory / f"{info.run_id}.h5.partial"
+        partial_path = directory / f"{info.run_id}.h5.partial"
         refuse_existing(self.path)
-        refuse_existing(partial)
+        refuse_existing(partial_path)
         try:
             directory.mkdir(parents=True, exist_ok=True)
         except OSError as fault:
-            text = f"{directory}: cannot create the run file: {fault.strerror or fault}; choose another directory"
-            raise InputError(text) from None
+            message = f"{directory}: cannot create the run file: {fault.strerror or fault}; choose another directory"
+            raise InputError(message) from None
         try:
-            self._file = create(partial, info, streams)
+            self._file = create(partial_path, info, streams)
             self._datasets = {
                 name: opened_columns(self._file["streams"][name], specs) for name, specs in streams.items()
             }
-            move_without_overwriting(partial, self.path)
+            move_without_overwriting(partial_path, self.path)
         except OSError as fault:
-            raise RecordingFailed(f"{partial}: cannot create the run file: {one_line(str(fault))}") from fault
+            raise RecordingFailed(f"{partial_path}: cannot create the run file: {one_line(str(fault))}") from fault
 
     def append_row(self, stream: str, time: float, values: Sequence[float]) -> None:
         """Add one row, in a few microseconds even if the disk is slow."""
         if self.closed:
-            raise self._ended()
+            raise self._error_after_end()
         self._buffers[stream].append_row(time, values)
 
     def append(self, stream: str, times: np.ndarray[Any, Any], block: np.ndarray[Any, Any]) -> None:
         """Add rows: `times` (n,) and `block` (n, channels)."""
         if self.closed:
-            raise self._ended()
+            raise self._error_after_end()
         self._buffers[stream].append(times, block)
 
     def step(self, name: str, start: float, stop: float, settle: float, parameters: Mapping[str, Any]) -> None:
         """Record a step: its name, times [s] and parameters."""
         times = {"start": float(start), "stop": float(stop), "settle": float(settle)}
-        self._note("steps", {"name": str(name), **times, "parameters": dict(parameters)})
+        self._add_row("steps", {"name": str(name), **times, "parameters": dict(parameters)})
 
     def event(self, time: float, level: str, source: str, message: str) -> None:
         """Record an event at a time [s]."""
         row = {"time": float(time), "level": str(level), "source": str(source), "message": str(message)}
-        self._note("events", row)
+        self._add_row("events", row)
 
-    def _note(self, table: str, row: dict[str, Any]) -> None:
+    def _add_row(self, table: str, row: dict[str, Any]) -> None:
         self._tables[table].append(row)
         if table in self.heard:
             self.heard[table](row)
@@ -118,7 +119,7 @@ class RunWriter:
         """Write everything so far to the file, where a reader or a recovery finds it."""
         with self._disk:
             self._on_disk(self._write_pending)
-            self._stay_in_place()
+            self._follow_path()
 
     def notes(self) -> list[str]:
         """Return notes for people about the file since the last call, for example that it was moved."""
@@ -131,10 +132,10 @@ class RunWriter:
             raise ValueError(f"status {status!r} is none of {', '.join(CLOSED_STATUSES)}")
         with self._disk:
             if self._fault:
-                raise self._ended()
+                raise self._error_after_end()
             if not self.closed:
                 self._on_disk(self._write_pending)
-                self._stay_in_place()
+                self._follow_path()
                 self._on_disk(self._file.close)
                 self._on_disk(lambda: self._repack(status, reason))
                 self.closed = True
@@ -157,36 +158,36 @@ class RunWriter:
 
     def _write_pending(self) -> None:
         self._wait_for_disk()
-        tables = {name: rows[self._tables_written[name] :] for name, rows in self._tables.items()}
+        pending_tables = {name: rows[self._tables_written[name] :] for name, rows in self._tables.items()}
         buffered = {name: buffer.take() for name, buffer in self._buffers.items()}
-        self._reserve(buffered, tables)
+        self._reserve(buffered, pending_tables)
         for name, rows in buffered.items():
             if len(rows):
                 write_rows(self._datasets[name], self._written[name], rows)
                 self._written[name] += len(rows)
-        for name, pending in tables.items():
-            if pending:
-                write_live_table(self._file[name], layout.TABLES[name], self._tables_written[name], pending)
-                self._tables_written[name] += len(pending)
+        for name, pending_rows in pending_tables.items():
+            if pending_rows:
+                write_live_table(self._file[name], layout.TABLES[name], self._tables_written[name], pending_rows)
+                self._tables_written[name] += len(pending_rows)
 
-    def _stay_in_place(self) -> None:
+    def _follow_path(self) -> None:
         """If the file or its folder was removed, moved or replaced, continue in a copy at a path that exists."""
         open_file = os.fstat(self._file.id.get_vfd_handle())
         with suppress(OSError):
             file_at_path = os.lstat(self.path)
             if (file_at_path.st_dev, file_at_path.st_ino) == (open_file.st_dev, open_file.st_ino):
                 return
-        self._on_disk(self._go_on_elsewhere)
+        self._on_disk(self._continue_in_copy)
 
-    def _go_on_elsewhere(self) -> None:
+    def _continue_in_copy(self) -> None:
         """Continue in a copy: in a new folder of the same name, else the working directory, else the temporary one."""
-        before = self.path
+        old_path = self.path
         descriptor = os.dup(self._file.id.get_vfd_handle())
         try:
             self._file.close()
-            with os.fdopen(descriptor, "rb", closefd=False) as rows:
-                places = [before.parent, *working_directory(), Path(tempfile.gettempdir())]
-                self.path = copy_to_first(rows, before.name, places)
+            with os.fdopen(descriptor, "rb", closefd=False) as file:
+                folders = [old_path.parent, *working_directory(), Path(tempfile.gettempdir())]
+                self.path = copy_to_first(file, old_path.name, folders)
         finally:
             os.close(descriptor)
         self._file = h5py.File(self.path, "r+", libver=layout.HDF5_FORMAT, rdcc_nbytes=LIVE_CACHE_BYTES)
@@ -194,7 +195,7 @@ class RunWriter:
         groups = self._file["streams"]
         self._datasets = {name: opened_columns(groups[name], specs) for name, specs in self._streams.items()}
         self._notes.append(
-            f"{before}: was removed or moved while it was written; every row of the run is in {self.path}"
+            f"{old_path}: was removed or moved while it was written; every row of the run is in {self.path}"
         )
 
     def _reserve(self, buffered: Mapping[str, np.ndarray[Any, Any]], tables: Mapping[str, Sequence[Any]]) -> None:
@@ -216,7 +217,7 @@ class RunWriter:
     def _on_disk(self, action: Callable[[], None]) -> None:
         """Run an action on the file; if it fails, abandon the file and raise RecordingFailed with one line."""
         if self.closed:
-            raise self._ended()
+            raise self._error_after_end()
         try:
             action()
         # HDF5 reports a full disk as OSError while writing and as RuntimeError while flushing or closing
@@ -226,17 +227,19 @@ class RunWriter:
             self._abandon()
             raise RecordingFailed(self._fault) from fault
 
-    def _ended(self) -> RecordingFailed:
+    def _error_after_end(self) -> RecordingFailed:
+        """Return the error for a call after the end of the recording."""
         return RecordingFailed(self._fault or f"{self.path}: the recording has ended; start a new run")
 
     def _abandon(self) -> None:
+        """End the recording without closing the file, and keep the file's objects from being collected."""
         self.closed = True
         if self._file:  # closing after a failed write crashes inside HDF5, so that the file stays open
             KEPT_OPEN.append((self._file, self._datasets))
 
 
-KEPT_OPEN: list[Any] = []
-ADVICE = {
+KEPT_OPEN: list[Any] = []  # files that must not be closed before the process ends
+ERRNOS_BY_ADVICE = {
     "free space on the disk": (errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
     "raise the limit of open files (ulimit -n)": (errno.EMFILE, errno.ENFILE),
     "let this user write there, or choose --out": (errno.EACCES, errno.EPERM, errno.EROFS),
@@ -246,9 +249,12 @@ ADVICE = {
 
 
 def advice_for(fault: BaseException) -> str:
-    """Return the advice for a failed write, by errno; HDF5 gives none, which is taken for a full disk."""
-    number = getattr(fault, "errno", None)
-    return next((text for text, numbers in ADVICE.items() if number in numbers), "free space on the disk")
+    """Return the advice for a failed write by its errno; an error of HDF5 without errno is taken for a full disk."""
+    error_number = getattr(fault, "errno", None)
+    return next(
+        (advice for advice, error_numbers in ERRNOS_BY_ADVICE.items() if error_number in error_numbers),
+        "free space on the disk",
+    )
 
 
 def working_directory() -> list[Path]:
@@ -259,37 +265,37 @@ def working_directory() -> list[Path]:
         return []
 
 
-def copy_to_first(rows: BinaryIO, name: str, folders: Sequence[Path]) -> Path:
+def copy_to_first(file: BinaryIO, name: str, folders: Sequence[Path]) -> Path:
     """Copy a file into the first folder in which it can be created; nothing is overwritten.
 
     Raises
     ------
-    OSError : it can be created in none of them.
+    OSError : the file can be created in none of the folders.
     """
-    fault = OSError("there is no folder for it")
+    last_error = OSError("there is no folder for it")
     for folder in folders:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with (folder / name).open("xb") as copy:
-                rows.seek(0)
-                shutil.copyfileobj(rows, copy)
+                file.seek(0)
+                shutil.copyfileobj(file, copy)
                 os.fsync(copy.fileno())
-        except OSError as refused:
-            fault = refused
+        except OSError as error:
+            last_error = error
         else:
             return folder / name
-    raise fault
+    raise last_error
 
 
-def create(partial: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> Any:
+def create(partial_path: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelSpec]]) -> Any:
     """Create all groups and datasets of a run, since SWMR mode allows no new ones, and switch SWMR on."""
-    file = h5py.File(partial, "x", libver=layout.HDF5_FORMAT, rdcc_nbytes=LIVE_CACHE_BYTES)
+    file = h5py.File(partial_path, "x", libver=layout.HDF5_FORMAT, rdcc_nbytes=LIVE_CACHE_BYTES)
     try:
         columns = sum(1 + len(specs) for specs in streams.values())
         reserve(file, columns * COLUMN_BYTES + sum(text_bytes(text) for text in info.sources.values()))
     except OSError:
         file.close()
-        partial.unlink()
+        partial_path.unlink()
         raise
     for name in layout.ROOT_ATTRIBUTES:
         file.attrs[name] = layout.storable(value) if isinstance(value := root_value(name, info), str) else value
@@ -302,11 +308,11 @@ def create(partial: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelS
     layout.describe(file, info.parameters, info.instruments)
     for name, text in info.sources.items():
         file.create_dataset(f"{name}/source", data=text, dtype=layout.TEXT)
-    group = file.create_group("streams")
-    # NaN as fill value: a stamp that was announced but never written shows as NaN and is cut
-    live = {"shape": (0,), "maxshape": (None,), "chunks": (LIVE_CHUNK_ROWS,), "fillvalue": np.nan}
+    stream_group = file.create_group("streams")
+    # a stamp that was announced and never written is read as the fill value, NaN, and its row is cut
+    live_storage = {"shape": (0,), "maxshape": (None,), "chunks": (LIVE_CHUNK_ROWS,), "fillvalue": np.nan}
     for stream, specs in streams.items():
-        layout.create_stream(group, stream, list(specs), **live)
+        layout.create_stream(stream_group, stream, list(specs), **live_storage)
     for table, widths in layout.TABLES.items():
         for column, width in widths.items():
             dtype = "<f8" if width is None else h5py.string_dtype("utf-8", width)
@@ -317,45 +323,47 @@ def create(partial: Path, info: RunInfo, streams: Mapping[str, Sequence[ChannelS
 
 def root_value(name: str, info: RunInfo) -> Any:
     """Return the value of a root attribute at the start of the recording."""
-    start: dict[str, Any] = {
+    initial_values: dict[str, Any] = {
         "format": layout.FORMAT,
         "format_version": layout.VERSION,
         "status": RECORDING,
         "status_reason": "",
         "simulated": int(info.simulated),
     }
-    return start[name] if name in start else getattr(info, name)
+    return initial_values[name] if name in initial_values else getattr(info, name)
 
 
 def opened_columns(stream: Any, specs: Sequence[ChannelSpec]) -> list[tuple[int, Any, np.dtype[Any]]]:
     """Return (column in a row, dataset, type) of a stream's datasets in the order of writing: channels before time.
 
-    With the stamp written last, a stamp in the file means that its whole row is in the file.
+    Since the stamp is written last, a stamp in the file means that its whole row is in the file.
     """
     indices = {spec.name: index for index, spec in enumerate(specs, start=1)} | {"time": 0}
     return [(index, stream[name].id, stream[name].dtype) for name, index in indices.items()]
 
 
-def write_rows(columns: Sequence[tuple[int, Any, np.dtype[Any]]], written: int, rows: np.ndarray[Any, Any]) -> None:
+def write_rows(
+    columns: Sequence[tuple[int, Any, np.dtype[Any]]], written_rows: int, rows: np.ndarray[Any, Any]
+) -> None:
     """Append rows by HDF5's low-level calls: h5py's slices take three times as long for short blocks."""
-    memory, rows_in_file = h5s.create_simple((len(rows),)), h5s.create_simple((written + len(rows),))
-    rows_in_file.select_hyperslab((written,), (len(rows),))  # of every column, which are of one length
-    with np.errstate(over="ignore"):  # beyond float32 becomes inf
+    memory_space, file_space = h5s.create_simple((len(rows),)), h5s.create_simple((written_rows + len(rows),))
+    file_space.select_hyperslab((written_rows,), (len(rows),))  # one for all columns, which have equal lengths
+    with np.errstate(over="ignore"):  # a value beyond the range of float32 becomes infinite
         for index, dataset, dtype in columns:
-            extend(dataset, written + len(rows))
-            dataset.write(memory, rows_in_file, np.ascontiguousarray(rows[:, index], dtype))
+            extend(dataset, written_rows + len(rows))
+            dataset.write(memory_space, file_space, np.ascontiguousarray(rows[:, index], dtype))
             dataset.flush()
 
 
 def write_live_table(
-    group: Any, columns: Mapping[str, int | None], written: int, rows: Sequence[Mapping[str, Any]]
+    group: Any, columns: Mapping[str, int | None], written_rows: int, rows: Sequence[Mapping[str, Any]]
 ) -> None:
     """Append to `/steps` or `/events`; texts are cut to the fixed length of the column."""
     for column, width in columns.items():
         dataset = group[column]
-        extend(dataset.id, written + len(rows))
+        extend(dataset.id, written_rows + len(rows))
         values = [row[column] if width is None else cut_to_width(row[column], width) for row in rows]
-        dataset[written : written + len(rows)] = np.array(values, dataset.dtype)
+        dataset[written_rows : written_rows + len(rows)] = np.array(values, dataset.dtype)
         dataset.flush()
 
 
@@ -368,8 +376,8 @@ def extend(dataset: Any, rows: int) -> None:
 def cut_to_width(value: Any, width: int) -> bytes:
     """Encode a text in at most `width` bytes; parameters lose whole entries from the end and stay valid JSON."""
     if isinstance(value, Mapping):
-        entries = dict(value)
-        while len(encoded := layout.storable(as_text(entries)).encode()) > width:
-            entries.popitem()
+        kept_entries = dict(value)
+        while len(encoded := layout.storable(as_text(kept_entries)).encode()) > width:
+            kept_entries.popitem()
         return encoded
     return layout.storable(value).encode()[:width].decode("utf-8", "ignore").encode()

@@ -9,7 +9,7 @@ from leactl.errors import InputError
 from leactl.runfile.importing.sources.source import reason_text
 
 MOST_PARTS: Final = 10_000  # of a message: rosbags writes code for each
-BEING_COUNTED: Final = 0  # mark of a type whose parts are being counted
+UNFINISHED_COUNT: Final = 0  # mark of a type whose parts are being counted
 SEPARATOR: Final = "=" * 80 + "\n"  # between the definitions of a schema of kind ros2idl
 
 
@@ -35,21 +35,21 @@ class RosTypes:
         from rosbags.typesys import Stores, get_typestore
 
         self._store: Any = get_typestore(Stores.EMPTY)
-        self._usual: Any = None
-        self._learnt: dict[tuple[str, bytes], str] = {}
+        self._shipped_store: Any = None
+        self._failures: dict[tuple[str, bytes], str] = {}
 
     def learn(self, kind: str, encoding: str, text: bytes) -> str:
         """Register a type and those it uses from their definition; returns the reason if that fails, else ""."""
-        if (kind, text) not in self._learnt:
-            self._learnt[kind, text] = self._refused(kind, encoding, text)
-        return self._learnt[kind, text]
+        if (kind, text) not in self._failures:
+            self._failures[kind, text] = self._registration_failure(kind, encoding, text)
+        return self._failures[kind, text]
 
     def usual(self, kind: str) -> str:
         """Use the definition that ROS 2 ships for a type; returns the reason if there is none, else ""."""
         from rosbags.typesys import Stores, get_typestore
 
-        self._usual = self._usual or get_typestore(Stores.LATEST)
-        if kind not in self._usual.fielddefs:
+        self._shipped_store = self._shipped_store or get_typestore(Stores.LATEST)
+        if kind not in self._shipped_store.fielddefs:
             return f"is of {kind}, of which neither the log nor ROS 2 itself has a definition"
         return ""
 
@@ -60,10 +60,10 @@ class RosTypes:
         ------
         Exception : of any kind, if the bytes are not of that type.
         """
-        store = self._store if kind in self._store.fielddefs else self._usual
+        store = self._store if kind in self._store.fielddefs else self._shipped_store
         return store.deserialize_cdr(data, kind)
 
-    def _refused(self, kind: str, encoding: str, text: bytes) -> str:
+    def _registration_failure(self, kind: str, encoding: str, text: bytes) -> str:
         from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
         if encoding not in ("ros2msg", "ros2idl"):
@@ -100,10 +100,10 @@ def parts_of(kind: str, types: dict[str, Any], counted: dict[str, int]) -> int:
 
     if kind not in types:
         raise TypesysError(f"{kind} is used and not defined")
-    if counted.get(kind) == BEING_COUNTED:
+    if counted.get(kind) == UNFINISHED_COUNT:
         raise TypesysError(f"{kind} holds itself")
     if kind not in counted:
-        counted[kind] = BEING_COUNTED
+        counted[kind] = UNFINISHED_COUNT
         parts = 1 + sum(parts_of_field(field, types, counted) for _, field in types[kind][1])
         counted[kind] = min(parts, MOST_PARTS + 1)
     return counted[kind]
