@@ -164,7 +164,7 @@ def _values(word: str, text: str, faults: list[str]) -> Sequence[Any]:
 
 
 def _moment(option: str, text: str, edge: int, faults: list[str]) -> datetime | None:
-    """Return start (`edge` 0) or end (1) of a date, or a moment; None if the text is empty or, with a fault, invalid."""
+    """Return start (`edge` 0) or end (1) of a date, or a moment; None if the text is empty, or (with a fault) wrong."""
     if not text:
         return None
     try:

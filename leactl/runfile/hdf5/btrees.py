@@ -32,7 +32,7 @@ MOST_NODES: Final = 1 << 17  # of one tree; HDF5 fills each with at least 32 chu
 class HeaderMessage(NamedTuple):
     """A message of an object header."""
 
-    kind: int
+    kind: int  # type of the message
     body: bytes
 
 
@@ -67,17 +67,19 @@ class TreeNode(NamedTuple):
 
 
 class BTrees:
-    """Check of the B-trees of a file whose first byte is at `base`; no node may be reached twice."""
+    """Checker of the B-trees of a file whose addresses count from the byte `base`; no node may be reached twice."""
 
     def __init__(self, raw: BinaryIO, base: int) -> None:
         self._raw, self._base = raw, base
-        self._checked_headers: set[int] = set()  # headers, since an object may have several names
+        self._checked_headers: set[int] = set()  # addresses; an object with several names is checked once
         self._visited_nodes: set[int] = set()
         self._messages_read = self._header_bytes = 0
         self._newer = NewerBTrees(self._bytes)
 
     def check(self, header: int, hdf5_path: str) -> None:
-        """Check the trees to which the object header at an address refers; HDF5 itself reports an address of no tree.
+        """Check the trees to which the object header at an address refers.
+
+        HDF5 itself reports an address at which there is no tree.
 
         Raises
         ------
@@ -104,16 +106,16 @@ class BTrees:
         ------
         InputError : the list is cyclic or too long.
         """
-        if len(head := self._bytes(heap, HEAP.size)) < HEAP.size:
+        if len(header_bytes := self._bytes(heap, HEAP.size)) < HEAP.size:
             return
-        signature, size, free, names = HEAP.unpack(head)
-        seen: set[int] = set()
-        while signature == b"HEAP" and free + ADDRESS.size <= size:
-            if free in seen or len(seen) > MOST_NODES:
+        signature, size, free_offset, names_address = HEAP.unpack(header_bytes)
+        visited_offsets: set[int] = set()
+        while signature == b"HEAP" and free_offset + ADDRESS.size <= size:
+            if free_offset in visited_offsets or len(visited_offsets) > MOST_NODES:
                 raise InputError(f"{hdf5_path}: damaged: the free space among the names of its members has no end")
-            seen.add(free)
-            block = self._bytes(names + free, ADDRESS.size)
-            free = ADDRESS.unpack(block)[0] if len(block) == ADDRESS.size else size
+            visited_offsets.add(free_offset)
+            block = self._bytes(names_address + free_offset, ADDRESS.size)
+            free_offset = ADDRESS.unpack(block)[0] if len(block) == ADDRESS.size else size
 
     def _check_tree(self, root: Root, hdf5_path: str) -> None:
         """Check the nodes of a tree level by level, from the root down.
@@ -122,15 +124,15 @@ class BTrees:
         ------
         InputError : a node is reached twice, siblings are out of order, levels differ, or there are too many nodes.
         """
-        damaged = InputError(f"{hdf5_path}: damaged: the index of its members or chunks is no tree")
+        damage_error = InputError(f"{hdf5_path}: damaged: the index of its members or chunks is no tree")
         level_addresses, level = [root.address], None
-        nodes = 0
+        node_count = 0
         while level_addresses:
-            if (nodes := nodes + len(level_addresses)) > MOST_NODES:
+            if (node_count := node_count + len(level_addresses)) > MOST_NODES:
                 raise InputError(f"{hdf5_path}: more than {MOST_NODES} nodes in its index; fewer were expected")
             positions = {address: position for position, address in enumerate(level_addresses)}
             if len(positions) < len(level_addresses) or not self._visited_nodes.isdisjoint(positions):
-                raise damaged
+                raise damage_error
             self._visited_nodes |= positions.keys()
             next_addresses: list[int] = []
             for position, address in enumerate(level_addresses):
@@ -142,7 +144,7 @@ class BTrees:
                     len(level_addresses) if node.right == UNDEFINED_ADDRESS else positions.get(node.right, position)
                 )
                 if node.level != level or not left_position < position < right_position:
-                    raise damaged
+                    raise damage_error
                 if level and len(next_addresses) + node.children <= MOST_NODES:
                     next_addresses += self._children(address, node.children, root.key_size)
                 elif level:
@@ -151,18 +153,18 @@ class BTrees:
 
     def _node(self, address: int, kind: int) -> TreeNode | None:
         """Return the node at an address; None if there is none of this kind, which HDF5 itself reports."""
-        head = self._bytes(address, NODE.size)
-        if len(head) < NODE.size:
+        header_bytes = self._bytes(address, NODE.size)
+        if len(header_bytes) < NODE.size:
             return None
-        signature, node_kind, level, children, left, right = NODE.unpack(head)
+        signature, node_kind, level, children, left, right = NODE.unpack(header_bytes)
         return TreeNode(level, children, left, right) if (signature, node_kind) == (b"TREE", kind) else None
 
     def _children(self, address: int, count: int, key_size: int) -> Iterator[int]:
         """Yield the addresses of the `count` children of the node at an address."""
-        entry = key_size + ADDRESS.size
-        entries = self._bytes(address + NODE.size, count * entry)
-        for at in range(key_size, len(entries) - ADDRESS.size + 1, entry):
-            yield ADDRESS.unpack_from(entries, at)[0]
+        entry_size = key_size + ADDRESS.size
+        entries = self._bytes(address + NODE.size, count * entry_size)
+        for offset in range(key_size, len(entries) - ADDRESS.size + 1, entry_size):
+            yield ADDRESS.unpack_from(entries, offset)[0]
 
     def _bytes(self, address: int, count: int) -> bytes:
         """Read `count` bytes from an address; fewer if the file ends before."""
@@ -184,32 +186,33 @@ class BTrees:
             blocks = [
                 (header + position + length_size, int.from_bytes(prefix[position : position + length_size], "little"))
             ]
-            head = struct.Struct("<BHB2x" if flags & 0x04 else "<BHB")  # flag 0x04: the order of creation is stored
-            signature = checksum = 4
+            # flag 0x04: the order of creation is stored
+            header_format = struct.Struct("<BHB2x" if flags & 0x04 else "<BHB")
+            signature_size = checksum_size = 4
         elif prefix.startswith(b"\x01"):
             blocks = [(header + 16, int.from_bytes(prefix[8:12], "little"))]
-            head = struct.Struct("<HHB3x")
-            signature = checksum = 0
+            header_format = struct.Struct("<HHB3x")
+            signature_size = checksum_size = 0
         else:
             return
-        too_much = InputError(f"headers of more than {MOST_MESSAGES} entries or {MOST_HEADER_BYTES} bytes")
+        limit_error = InputError(f"headers of more than {MOST_MESSAGES} entries or {MOST_HEADER_BYTES} bytes")
         for position, length in blocks:  # the loop appends further blocks
             self._header_bytes += length
             if self._header_bytes > MOST_HEADER_BYTES:
-                raise too_much
+                raise limit_error
             block = self._bytes(position, length)
-            begin = 0
-            while begin + head.size <= len(block):
-                kind, body_size, _flags = head.unpack_from(block, begin)
-                begin += head.size
-                body = block[begin : begin + body_size]
-                begin += body_size
+            offset = 0
+            while offset + header_format.size <= len(block):
+                kind, body_size, _flags = header_format.unpack_from(block, offset)
+                offset += header_format.size
+                body = block[offset : offset + body_size]
+                offset += body_size
                 if kind == CONTINUATION and len(body) >= 16:
                     next_block, next_length = struct.unpack_from("<QQ", body)
-                    blocks.append((next_block + signature, max(0, next_length - signature - checksum)))
+                    blocks.append((next_block + signature_size, max(0, next_length - signature_size - checksum_size)))
                 self._messages_read += 1
                 if self._messages_read > MOST_MESSAGES:
-                    raise too_much
+                    raise limit_error
                 yield HeaderMessage(kind, body)
 
 
@@ -221,13 +224,13 @@ def v1_tree_root(message: HeaderMessage) -> Root | None:
     if message.kind != LAYOUT or len(body) < 16:
         return None
     if body[0] == 3 and body[1] == CHUNKED:
-        dimensions, at = body[2], 3
+        dimensions, address_offset = body[2], 3
     elif body[0] in (1, 2) and body[2] == CHUNKED:
-        dimensions, at = body[1], 8
+        dimensions, address_offset = body[1], 8
     else:
         return None
     # a key has a chunk's size, the mask of skipped filters, and its offset in each dimension and in the value
-    return Root(CHUNK_NODE, ADDRESS.unpack_from(body, at)[0], 8 + 8 * dimensions)
+    return Root(CHUNK_NODE, ADDRESS.unpack_from(body, address_offset)[0], 8 + 8 * dimensions)
 
 
 def dense_storage_addresses(message: HeaderMessage) -> DenseStorage | None:
@@ -235,12 +238,12 @@ def dense_storage_addresses(message: HeaderMessage) -> DenseStorage | None:
     body = message.body
     if message.kind not in SIZE_OF_LAST_NUMBER or len(body) < 2:
         return None
-    begin = 2 + (SIZE_OF_LAST_NUMBER[message.kind] if body[1] & 1 else 0)
+    first_byte = 2 + (SIZE_OF_LAST_NUMBER[message.kind] if body[1] & 1 else 0)
     count = 3 if body[1] & 2 else 2  # flag 2: there is also a tree by the order of creation
-    end = begin + count * ADDRESS.size
-    if end > len(body):
+    end_byte = first_byte + count * ADDRESS.size
+    if end_byte > len(body):
         return None
-    return DenseStorage(*(address for (address,) in ADDRESS.iter_unpack(body[begin:end])))
+    return DenseStorage(*(address for (address,) in ADDRESS.iter_unpack(body[first_byte:end_byte])))
 
 
 def chunk_index_address(message: HeaderMessage) -> int | None:
@@ -248,6 +251,8 @@ def chunk_index_address(message: HeaderMessage) -> int | None:
     body = message.body
     if message.kind != LAYOUT or len(body) < 5 or body[0] < 4 or body[1] != CHUNKED:
         return None
-    at = 5 + body[3] * body[4]  # after the chunk's length in each dimension
-    begin = at + 1 + INDEX_SETTINGS.get(body[at], len(body)) if at < len(body) else at
-    return int(ADDRESS.unpack_from(body, begin)[0]) if begin + ADDRESS.size <= len(body) else None
+    type_offset = 5 + body[3] * body[4]  # after the chunk's length in each dimension
+    address_offset = (
+        type_offset + 1 + INDEX_SETTINGS.get(body[type_offset], len(body)) if type_offset < len(body) else type_offset
+    )
+    return int(ADDRESS.unpack_from(body, address_offset)[0]) if address_offset + ADDRESS.size <= len(body) else None

@@ -1,7 +1,7 @@
 """Check the decompressed sizes of chunks, since HDF5 decompresses a chunk to its end, whatever size is announced.
 
-A chunk announced with 8 KiB may decompress to a thousand times its size in the file, and HDF5 keeps all of it in memory
-as long as the dataset is open.
+A chunk for which 8 KiB are announced may decompress to a thousand times its size in the file, and HDF5 keeps all of it
+in memory as long as the dataset is open.
 """
 
 import zlib
@@ -22,42 +22,42 @@ def chunks(dataset: Any) -> list[Any]:
     return infos
 
 
-def exceeds_announced(dataset: Any, chunk: Any, most: int) -> bool:
-    """Return whether a compressed chunk takes or decompresses to more than `most` bytes; False if it is damaged."""
-    if chunk.size > most + most // 1000 + DEFLATE_OVERHEAD:
+def exceeds_announced(dataset: Any, chunk: Any, announced_bytes: int) -> bool:
+    """Return whether a compressed chunk takes, or decompresses to, more than the announced bytes; False if damaged."""
+    if chunk.size > announced_bytes + announced_bytes // 1000 + DEFLATE_OVERHEAD:
         return True
     _, packed = dataset.read_direct_chunk(chunk.chunk_offset)
     try:
-        return len(zlib.decompressobj().decompress(packed, most + 1)) > most
+        return len(zlib.decompressobj().decompress(packed, announced_bytes + 1)) > announced_bytes
     except zlib.error:
         return False
 
 
-def unpacked(dataset: Any, chunk: Any, most: int, value_size: int) -> bytes | None:
-    """Decompress a chunk; None if it is damaged or decompresses to more than `most` bytes."""
-    data: bytes = dataset.read_direct_chunk(chunk.chunk_offset)[1]
+def unpacked(dataset: Any, chunk: Any, announced_bytes: int, value_size: int) -> bytes | None:
+    """Return the values of a chunk, decompressed; None if it is damaged or decompresses to more than announced."""
+    values: bytes = dataset.read_direct_chunk(chunk.chunk_offset)[1]
     applied_filters = [
         code for bit, code in enumerate(filters(dataset.get_create_plist())) if not chunk.filter_mask >> bit & 1
     ]
-    most_bytes = most + CHECKSUM * (h5py.h5z.FILTER_FLETCHER32 in applied_filters)
+    most_bytes = announced_bytes + CHECKSUM * (h5py.h5z.FILTER_FLETCHER32 in applied_filters)
     for code in reversed(applied_filters):
         if code == h5py.h5z.FILTER_FLETCHER32:
-            data = data[:-CHECKSUM]
+            values = values[:-CHECKSUM]
         elif code == h5py.h5z.FILTER_SHUFFLE:  # first bytes of all values, second bytes of all values ...
-            rows = len(data) // value_size
-            data = np.frombuffer(data, np.uint8, rows * value_size).reshape(value_size, rows).T.tobytes()
+            rows = len(values) // value_size
+            values = np.frombuffer(values, np.uint8, rows * value_size).reshape(value_size, rows).T.tobytes()
         else:
             try:
-                data = zlib.decompressobj().decompress(data, most_bytes + 1)
+                values = zlib.decompressobj().decompress(values, most_bytes + 1)
             except zlib.error:
                 return None
-            if len(data) > most_bytes:
+            if len(values) > most_bytes:
                 return None
-    return data
+    return values
 
 
 def last_value(dataset: Any) -> "np.ndarray[Any, Any]":
-    """Return the last value of a one-dimensional dataset, as an array of length 1, or 0 if the dataset is empty.
+    """Return the last value of a one-dimensional dataset, as an array of length 1; of length 0 for an empty dataset.
 
     Raises
     ------

@@ -32,7 +32,7 @@ HUGE_OBJECTS: Final = 1  # type of the tree of huge objects
 ARRAYS: Final = {b"FAHD": 8, b"EAHD": 44}  # offset of the number of elements in the header of a fixed, extensible array
 COUNT: Final = struct.Struct("<Q")
 MOST_CHUNKS: Final = 1 << 22  # elements of an array; HDF5 reads two million a second
-MOST_LEVELS: Final = 16  # each multiplies the records by 8 or more
+MOST_LEVELS: Final = 16  # of a tree; each multiplies the records by 8 or more
 MOST_NODES: Final = 1 << 17  # of all trees, including leaves
 MOST_RECORDS: Final = 1 << 17  # of the links or attributes of one object
 LARGEST_NODE: Final = 1 << 16  # bytes; HDF5 creates nodes of 512 and 2048
@@ -61,9 +61,11 @@ class Branch(NamedTuple):
 
 
 class NewerBTrees:
-    """Check of the B-trees of version 2 of a file; no node may be reached twice.
+    """Checker of the B-trees of version 2 of a file; no node may be reached twice.
 
-    `read` returns the bytes at an address, by address and number of bytes.
+    Parameters
+    ----------
+    read : function that returns the bytes of the file at an address, by address and number of bytes.
     """
 
     def __init__(self, read: Callable[[int, int], bytes]) -> None:
@@ -79,7 +81,7 @@ class NewerBTrees:
         InputError : HDF5 might never reach the end of a tree, overflow a table, or exceed the bounds of this module.
         """
         identifier_size, huge_lengths = self._check_heap(heap, hdf5_path)
-        outside_bytes = 0  # the larger of both indexes, by name and by order, which refer to the same objects
+        index_bytes = 0  # the larger of both indexes, by name and by order, which refer to the same objects
         for address in trees:
             if (tree := self._header(address)) is None:
                 continue
@@ -87,8 +89,8 @@ class NewerBTrees:
                 raise InputError(f"{hdf5_path}: damaged: the index of its members or attributes has other records")
             levels = self._node_levels(tree, hdf5_path)
             if huge_lengths:
-                outside_bytes = max(outside_bytes, self._huge_bytes_of(tree, levels, huge_lengths))
-        self._huge_bytes += outside_bytes
+                index_bytes = max(index_bytes, self._huge_bytes_of(tree, levels, huge_lengths))
+        self._huge_bytes += index_bytes
         if self._huge_bytes > MOST_HUGE_BYTES:
             raise InputError(
                 f"{hdf5_path}: more than {MOST_HUGE_BYTES} bytes of large links or attributes in this file"
@@ -101,9 +103,13 @@ class NewerBTrees:
         ------
         InputError : HDF5 might never reach the end of the index.
         """
-        head = self._read(address, max(ARRAYS.values()) + COUNT.size)
-        at = ARRAYS.get(head[:4])
-        if at is not None and len(head) >= at + COUNT.size and (count := COUNT.unpack_from(head, at)[0]) > MOST_CHUNKS:
+        header_bytes = self._read(address, max(ARRAYS.values()) + COUNT.size)
+        count_offset = ARRAYS.get(header_bytes[:4])
+        if (
+            count_offset is not None
+            and len(header_bytes) >= count_offset + COUNT.size
+            and (count := COUNT.unpack_from(header_bytes, count_offset)[0]) > MOST_CHUNKS
+        ):
             raise InputError(
                 f"{hdf5_path}: {count} elements in the index of its chunks; at most {MOST_CHUNKS} were expected"
             )
@@ -112,10 +118,14 @@ class NewerBTrees:
 
     def _header(self, address: int) -> TreeHeader | None:
         """Return the header of a tree; None if it is absent or has a wrong checksum, which HDF5 itself reports."""
-        head = self._read(address, TREE.size + CHECKSUM)
-        if len(head) < TREE.size + CHECKSUM or not head.startswith(b"BTHD") or not has_valid_checksum(head):
+        header_bytes = self._read(address, TREE.size + CHECKSUM)
+        if (
+            len(header_bytes) < TREE.size + CHECKSUM
+            or not header_bytes.startswith(b"BTHD")
+            or not has_valid_checksum(header_bytes)
+        ):
             return None
-        return TreeHeader(*TREE.unpack_from(head)[1:])
+        return TreeHeader(*TREE.unpack_from(header_bytes)[1:])
 
     def _node_levels(self, tree: TreeHeader, hdf5_path: str) -> list[list[Branch]]:
         """Return the nodes of a tree, level by level from the root down, without reading the leaves.
@@ -163,20 +173,20 @@ class NewerBTrees:
 
     def _children(self, node: Branch, record_size: int, pointer_size: int, count_size: int) -> Iterator[Branch]:
         """Yield the children of a node; none if it is not an inner node, which HDF5 itself reports."""
-        begin = NODE_HEAD + node.records * record_size
-        raw = self._read(node.address, begin + (node.records + 1) * pointer_size)
-        if not raw.startswith(b"BTIN"):
+        pointers_offset = NODE_HEAD + node.records * record_size
+        node_bytes = self._read(node.address, pointers_offset + (node.records + 1) * pointer_size)
+        if not node_bytes.startswith(b"BTIN"):
             return
-        for at in range(begin, len(raw) - pointer_size + 1, pointer_size):
-            count = int.from_bytes(raw[at + 8 : at + 8 + count_size], "little")
-            yield Branch(int.from_bytes(raw[at : at + 8], "little"), count)
+        for offset in range(pointers_offset, len(node_bytes) - pointer_size + 1, pointer_size):
+            count = int.from_bytes(node_bytes[offset + 8 : offset + 8 + count_size], "little")
+            yield Branch(int.from_bytes(node_bytes[offset : offset + 8], "little"), count)
 
     def _records(self, tree: TreeHeader, levels: list[list[Branch]]) -> Iterator[bytes]:
         """Yield the records of the nodes in `levels`, as bytes."""
         for node in (node for level in levels for node in level):
-            raw = self._read(node.address, NODE_HEAD + node.records * tree.record_size)
-            for at in range(NODE_HEAD, len(raw) - tree.record_size + 1, tree.record_size):
-                yield raw[at : at + tree.record_size]
+            node_bytes = self._read(node.address, NODE_HEAD + node.records * tree.record_size)
+            for offset in range(NODE_HEAD, len(node_bytes) - tree.record_size + 1, tree.record_size):
+                yield node_bytes[offset : offset + tree.record_size]
 
     def _check_heap(self, address: int, hdf5_path: str) -> tuple[int, dict[int, int]]:
         """Return the size of a heap's identifiers, and the lengths of its huge objects by number.
@@ -185,15 +195,15 @@ class NewerBTrees:
         ------
         InputError : the heap is compressed, or its objects, blocks or tree of huge objects are not as expected.
         """
-        head = self._read(address, HEAP_SIZE + CHECKSUM)
-        if len(head) < HEAP_SIZE + CHECKSUM or not head.startswith(b"FRHP"):
+        header_bytes = self._read(address, HEAP_SIZE + CHECKSUM)
+        if len(header_bytes) < HEAP_SIZE + CHECKSUM or not header_bytes.startswith(b"FRHP"):
             return 0, {}
-        _, identifier_size, filters_size, largest, huge_tree = HEAP.unpack_from(head)
+        _, identifier_size, filters_size, largest_object, huge_tree = HEAP.unpack_from(header_bytes)
         if filters_size:
             raise InputError(f"{hdf5_path}: its links or attributes are packed; plain ones were expected")
-        (block,) = COUNT.unpack_from(head, LARGEST_BLOCK_AT)
-        if has_valid_checksum(head) and (largest > LARGEST_OBJECT or block > LARGEST_HEAP_BLOCK):
-            text = f"a heap for objects of {largest} bytes in blocks of {block}"
+        (largest_block,) = COUNT.unpack_from(header_bytes, LARGEST_BLOCK_AT)
+        if has_valid_checksum(header_bytes) and (largest_object > LARGEST_OBJECT or largest_block > LARGEST_HEAP_BLOCK):
+            text = f"a heap for objects of {largest_object} bytes in blocks of {largest_block}"
             raise InputError(f"{hdf5_path}: {text}; at most {LARGEST_OBJECT} and {LARGEST_HEAP_BLOCK} were expected")
         if huge_tree == UNDEFINED_ADDRESS or (tree := self._header(huge_tree)) is None:
             return identifier_size, {}
@@ -216,9 +226,9 @@ class NewerBTrees:
 
 
 def capacities(tree: TreeHeader) -> list[tuple[int, int, int]]:
-    """Return, for each level from the leaves up, the most records of a node and the sizes of its pointers.
+    """Return, for each level from the leaves up, the largest number of records of a node and two sizes [bytes].
 
-    The sizes are those of a pointer to a child and of the number of records in it [bytes]; both are 0 for leaves.
+    The sizes are those of a pointer to a child and, within it, of the number of the child's records; 0 for leaves.
     """
     capacity = (tree.node_size - NODE_PREFIX) // tree.record_size
     count_size = bytes_for(capacity)
@@ -238,6 +248,6 @@ def bytes_for(number: int) -> int:
     return max(0, number.bit_length() - 1) // 8 + 1
 
 
-def has_valid_checksum(head: bytes) -> bool:
+def has_valid_checksum(header_bytes: bytes) -> bool:
     """Return whether the last four bytes are the checksum of those before."""
-    return checksum(head[:-CHECKSUM]) == int.from_bytes(head[-CHECKSUM:], "little")
+    return checksum(header_bytes[:-CHECKSUM]) == int.from_bytes(header_bytes[-CHECKSUM:], "little")

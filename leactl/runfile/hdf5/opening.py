@@ -33,7 +33,7 @@ TOO_NEW = (
     f"written in a newer HDF5 format than h5py {h5py.__version__} with HDF5 {h5py.version.hdf5_version} reads; where it"
     " opens, `leactl runs convert` makes it old again"
 )
-# h5py raises any of these for a damaged header: TypeError for a type without NumPy type, ValueError for a wrong length
+# errors of h5py for a damaged file, such as TypeError for a type unknown to NumPy and ValueError for a wrong length
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)
 MOST_REOPENINGS = 3  # of a live file, because it grew while it was checked
 PAST_END_ERROR = "addr overflow"  # text of HDF5's error for an address beyond the file's size when it was opened
@@ -41,7 +41,7 @@ USUAL_SIZES = (8, 8)  # bytes of addresses and of lengths
 
 
 def open_run_file(path: Path, root: dict[str, Any] | None = None, values: bool = True) -> tuple[Any, bool]:
-    """Open a run file for reading; the second result is whether a writer has it open or was killed.
+    """Open a run file for reading, and return whether it is live: its writer still has it open, or was killed.
 
     Parameters
     ----------
@@ -59,24 +59,30 @@ def open_run_file(path: Path, root: dict[str, Any] | None = None, values: bool =
     except OSError as fault:
         raise InputError(f"{path}: cannot be read: {fault.strerror}") from fault
     with raw:
-        head = raw.read(FLAGS_AT + 1)
-        flags = head[FLAGS_AT] if is_hdf5(head) and len(head) > FLAGS_AT and head[VERSION_AT] >= 3 else 0
+        first_bytes = raw.read(FLAGS_AT + 1)
+        flags = (
+            first_bytes[FLAGS_AT]
+            if is_hdf5(first_bytes) and len(first_bytes) > FLAGS_AT and first_bytes[VERSION_AT] >= 3
+            else 0
+        )
         if flags & OPEN_FOR_WRITE and not flags & SWMR_WRITE:
-            text = "the recording never started (its writer ended while preparing the file); delete it"
-            raise InputError(f"{path}: {text}")
+            message = "the recording never started (its writer ended while preparing the file); delete it"
+            raise InputError(f"{path}: {message}")
         live = bool(flags & SWMR_WRITE)
-        for tries in range(MOST_REOPENINGS, -1, -1):
+        for reopenings_left in range(MOST_REOPENINGS, -1, -1):
             try:
                 file = h5py.File(AsClosed(raw) if live else path, "r")
             except DAMAGE as fault:
                 raise InputError(f"{path}: {open_failure(fault)}") from fault
             try:
-                faults = faults_of_form(file, head) or faults_of_file(file, raw, {} if root is None else root, values)
+                faults = faults_of_form(file, first_bytes) or faults_of_file(
+                    file, raw, {} if root is None else root, values
+                )
             except DAMAGE as fault:
                 faults = [damage_text(fault)]
             if faults:
                 file.close()
-            if not (tries and live and any(PAST_END_ERROR in fault for fault in faults)):
+            if not (reopenings_left and live and any(PAST_END_ERROR in fault for fault in faults)):
                 break
         if faults:
             raise InputError([f"{path}: {fault}" for fault in faults])
@@ -111,14 +117,14 @@ def open_foreign(path: Path) -> Any:
     return file
 
 
-def is_hdf5(head: bytes) -> bool:
+def is_hdf5(first_bytes: bytes) -> bool:
     """Return whether the first bytes of a file are the HDF5 signature."""
-    return head.startswith(SIGNATURE)
+    return first_bytes.startswith(SIGNATURE)
 
 
-def faults_of_form(file: Any, head: bytes) -> list[str]:
-    """Return a line if the file does not begin with HDF5's signature, or its addresses have an unusual size."""
-    if not is_hdf5(head):
+def faults_of_form(file: Any, first_bytes: bytes) -> list[str]:
+    """Return a line if the file does not begin with HDF5's signature, or its addresses or lengths have another size."""
+    if not is_hdf5(first_bytes):
         return ["begins with bytes that are not HDF5's; none were expected before its part"]
     return faults_of_sizes(file)
 
@@ -178,11 +184,11 @@ def faults_of_root(file: Any, longest: int, root: dict[str, Any]) -> list[str]:
         if (names := int(h5py.h5a.get_num_attrs(file.id))) > MOST_ATTRIBUTES:
             return [f"/: {names} attributes; at most {MOST_ATTRIBUTES} were expected"]
         size = attribute_bytes(file.id)
-        texts = [Node("/", h5py.h5o.open(file.id, b"/"))]
+        root_nodes = [Node("/", h5py.h5o.open(file.id, b"/"))]
         if faults := (
             faults_of_attributes(size, "/")
             or faults_of_attribute_types(file.id, "/", is_read_of_run)
-            or faults_of_texts_in_attributes(texts, size, longest, MOST_ATTRIBUTE_BYTES)
+            or faults_of_texts_in_attributes(root_nodes, size, longest, MOST_ATTRIBUTE_BYTES)
         ):
             return faults
         root |= layout.attributes(file)

@@ -17,32 +17,37 @@ VERSION_AT, OFFSET_SIZE_AT = 8, {0: 13, 2: 9, 3: 9}
 
 
 def reserve(file: Any, size: int) -> None:
-    """Reserve disk space for `size` more bytes; raises OSError and leaves the file as it was if there is none."""
+    """Reserve disk space for `size` more bytes.
+
+    Raises
+    ------
+    OSError : there is no room on the disk; the file is as it was.
+    """
     descriptor = file.id.get_vfd_handle()
-    present = os.fstat(descriptor).st_size
-    lacking = file.id.get_filesize() + size + RESERVE - present
-    if lacking <= 0:
+    file_size = os.fstat(descriptor).st_size
+    missing_bytes = file.id.get_filesize() + size + RESERVE - file_size
+    if missing_bytes <= 0:
         return
     try:
         if hasattr(os, "posix_fallocate"):
-            os.posix_fallocate(descriptor, present, lacking)
+            os.posix_fallocate(descriptor, file_size, missing_bytes)
             return
     except OSError as fault:
         if fault.errno not in (errno.EOPNOTSUPP, errno.EINVAL):
-            raise OSError(fault.errno, f"no room for {lacking} bytes more: {fault.strerror}") from fault
-    # a file system that cannot reserve space can at least report the free space
-    free = shutil.disk_usage(Path(file.filename).parent).free
-    if free < lacking:
-        raise OSError(errno.ENOSPC, f"no room for {lacking} bytes more: {free} are free")
+            raise OSError(fault.errno, f"no room for {missing_bytes} bytes more: {fault.strerror}") from fault
+    # where the system cannot reserve space, the free space of the disk is checked instead
+    free_bytes = shutil.disk_usage(Path(file.filename).parent).free
+    if free_bytes < missing_bytes:
+        raise OSError(errno.ENOSPC, f"no room for {missing_bytes} bytes more: {free_bytes} are free")
 
 
 def trim(path: Path) -> None:
     """Release reserved space that was not used, after the file is closed."""
     with path.open("r+b") as raw:
-        head = raw.read(48)
-        version = head[VERSION_AT]
-        if version not in END_OF_FILE or head[OFFSET_SIZE_AT[version]] != 8:
+        superblock = raw.read(48)
+        version = superblock[VERSION_AT]
+        if version not in END_OF_FILE or superblock[OFFSET_SIZE_AT[version]] != 8:
             return  # the reserved space stays, which wastes space and does no other harm
-        end = int.from_bytes(head[END_OF_FILE[version]], "little")
+        end = int.from_bytes(superblock[END_OF_FILE[version]], "little")
         if 0 < end < os.fstat(raw.fileno()).st_size:
             raw.truncate(end)

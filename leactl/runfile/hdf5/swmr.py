@@ -40,10 +40,10 @@ class AsClosed(io.RawIOBase):
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         """Go to a byte, counted from the start, from the present position or from the present end of the file."""
         size = os.fstat(self._descriptor).st_size
-        wanted = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: size}[whence]
-        if wanted < 0:
-            raise ValueError(f"seek to byte {wanted}")
-        self._at = wanted
+        position = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: size}[whence]
+        if position < 0:
+            raise ValueError(f"seek to byte {position}")
+        self._at = position
         return self._at
 
     def tell(self) -> int:
@@ -70,12 +70,14 @@ class AsClosed(io.RawIOBase):
         super().close()
 
 
-def as_closed(head: bytes, size: int) -> bytes:
+def as_closed(live_superblock: bytes, size: int) -> bytes:
     """Convert the superblock of a live file to that of a closed file of `size` bytes; a wrong checksum stays wrong."""
-    superblock = bytearray(head)
+    superblock = bytearray(live_superblock)
     superblock[FLAGS_AT] = 0
     superblock[END_AT] = size.to_bytes(8, "little")
-    checksum_error = checksum(head[: CHECKSUM_AT.start]) ^ int.from_bytes(head[CHECKSUM_AT], "little")
+    checksum_error = checksum(live_superblock[: CHECKSUM_AT.start]) ^ int.from_bytes(
+        live_superblock[CHECKSUM_AT], "little"
+    )
     superblock[CHECKSUM_AT] = (checksum(bytes(superblock[: CHECKSUM_AT.start])) ^ checksum_error).to_bytes(4, "little")
     return bytes(superblock)
 
@@ -83,14 +85,14 @@ def as_closed(head: bytes, size: int) -> bytes:
 def checksum(data: bytes) -> int:
     """Return HDF5's checksum of metadata: Bob Jenkins' lookup3 (public domain), `hashlittle` with initial value 0."""
     a = b = c = (0xDEADBEEF + len(data)) & WORD_MASK
-    for at in range(0, len(data), WORDS.size):
-        if at:
-            for turn in (4, 6, 8, 16, 19, 4):
-                a, b, c = b, (c + b) & WORD_MASK, ((a - c) & WORD_MASK) ^ rotated_left(c, turn)
-        words = WORDS.unpack(data[at : at + WORDS.size].ljust(WORDS.size, b"\0"))
-        a, b, c = ((have + word) & WORD_MASK for have, word in zip((a, b, c), words, strict=True))
-    for turn in (14, 11, 25, 16, 4, 14, 24):
-        a, b, c = b, ((c ^ b) - rotated_left(b, turn)) & WORD_MASK, a
+    for offset in range(0, len(data), WORDS.size):
+        if offset:
+            for bits in (4, 6, 8, 16, 19, 4):
+                a, b, c = b, (c + b) & WORD_MASK, ((a - c) & WORD_MASK) ^ rotated_left(c, bits)
+        words = WORDS.unpack(data[offset : offset + WORDS.size].ljust(WORDS.size, b"\0"))
+        a, b, c = ((state + word) & WORD_MASK for state, word in zip((a, b, c), words, strict=True))
+    for bits in (14, 11, 25, 16, 4, 14, 24):
+        a, b, c = b, ((c ^ b) - rotated_left(b, bits)) & WORD_MASK, a
     return b
 
 

@@ -28,13 +28,13 @@ def longest_text(stream: BinaryIO) -> int:
     ------
     InputError : HDF5 would never reach the end of a heap, or there are more or longer texts than a run can have.
     """
-    longest = steps = 0
-    for heap_at in heaps(stream):
-        for number, length in objects(stream, heap_at):
-            steps += 1
+    longest = object_count = 0
+    for heap_offset in heaps(stream):
+        for number, length in objects(stream, heap_offset):
+            object_count += 1
             if not number and not length:
-                raise InputError(f"damaged: the texts that begin at byte {heap_at} are not whole")
-            if steps > MOST_HEAP_OBJECTS:
+                raise InputError(f"damaged: the texts that begin at byte {heap_offset} are not whole")
+            if object_count > MOST_HEAP_OBJECTS:
                 raise InputError(f"more than {MOST_HEAP_OBJECTS} texts; fewer were expected of a run")
             longest = max(longest, length if number else 0)
             if longest > LONGEST_TEXT_BYTES:
@@ -44,31 +44,31 @@ def longest_text(stream: BinaryIO) -> int:
 
 def heaps(stream: BinaryIO) -> Iterator[int]:
     """Yield the byte offsets of the heaps of a file, read block by block, since it may be larger than the memory."""
-    begin, block = 0, bytes_at(stream, 0, SEARCH_BYTES)
+    block_offset, block = 0, bytes_at(stream, 0, SEARCH_BYTES)
     while len(block) >= len(HEAD):
-        at = block.find(HEAD)
-        while at >= 0:
-            yield begin + at
-            at = block.find(HEAD, at + len(HEAD))
-        begin += len(block) - len(HEAD) + 1  # a head may lie across two blocks
-        block = bytes_at(stream, begin, SEARCH_BYTES)
+        head_offset = block.find(HEAD)
+        while head_offset >= 0:
+            yield block_offset + head_offset
+            head_offset = block.find(HEAD, head_offset + len(HEAD))
+        block_offset += len(block) - len(HEAD) + 1  # a head may lie across two blocks
+        block = bytes_at(stream, block_offset, SEARCH_BYTES)
 
 
-def objects(stream: BinaryIO, at: int) -> Iterator[tuple[int, int]]:
-    """Yield number and length [bytes] of each object of the heap at byte `at`, after (1, 0) for the heap itself."""
+def objects(stream: BinaryIO, offset: int) -> Iterator[tuple[int, int]]:
+    """Yield number and length [bytes] of each object of the heap at byte `offset`, after (1, 0) for the heap itself."""
     yield 1, 0
-    head = bytes_at(stream, at, HEADER.size)
-    if len(head) < HEADER.size:
+    header_bytes = bytes_at(stream, offset, HEADER.size)
+    if len(header_bytes) < HEADER.size:
         return
-    end = at + HEADER.unpack(head)[1]
-    at += HEADER.size
-    while at + OBJECT.size <= end and len(head := bytes_at(stream, at, OBJECT.size)) == OBJECT.size:
-        number, _, _, length = OBJECT.unpack(head)
+    end = offset + HEADER.unpack(header_bytes)[1]
+    offset += HEADER.size
+    while offset + OBJECT.size <= end and len(header_bytes := bytes_at(stream, offset, OBJECT.size)) == OBJECT.size:
+        number, _, _, length = OBJECT.unpack(header_bytes)
         yield number, length
-        at += length if not number else OBJECT.size + -(-length // ALIGNMENT) * ALIGNMENT
+        offset += length if not number else OBJECT.size + -(-length // ALIGNMENT) * ALIGNMENT
 
 
-def bytes_at(stream: BinaryIO, at: int, count: int) -> bytes:
-    """Read `count` bytes of a file from byte `at`; fewer at the end of the file."""
-    stream.seek(at)
+def bytes_at(stream: BinaryIO, offset: int, count: int) -> bytes:
+    """Read `count` bytes of a file from byte `offset`; fewer at the end of the file."""
+    stream.seek(offset)
     return stream.read(count)

@@ -40,7 +40,7 @@ MOST_ATTRIBUTE_BYTES: Final = 1 << 20  # bytes of one object; in run files, thos
 MOST_ATTRIBUTE_BYTES_OF_FILE: Final = 1 << 24
 MOST_UNWRITTEN_BYTES: Final = 1 << 26  # bytes of values that were announced and not written, as after a kill
 ATTRIBUTE_HEADER: Final = 64  # approximate bytes of an attribute without its value
-MOST_UNPACKED: Final = 32, 1 << 28  # limit of all values [bytes]: 32 times the file's size plus 256 MiB
+MOST_UNPACKED: Final = 32, 1 << 28  # the values of a file may have 32 times the file's size plus 256 MiB
 TEXT_IN_HEAP: Final = np.dtype([("length", "<u4"), ("heap", "<u8"), ("number", "<u4")])  # reference to a text in a heap
 MOST_UNCHECKED_BYTES: Final = 1 << 26  # bytes that the chunks of a file may decompress to without being checked
 LARGEST_CHUNK: Final = 1 << 26  # bytes; HDF5 reads a whole chunk for a single value
@@ -152,7 +152,7 @@ def faults_of_foreign_tree(file: Any, raw: BinaryIO, longest: int) -> list[str]:
 
 
 class Tree:
-    """The objects of a file, with sums of their sizes that are updated while the tree is walked."""
+    """Checker of the objects of a file, one by one and by the sums of their sizes."""
 
     def __init__(self, raw: BinaryIO, longest: int, foreign: bool = False) -> None:
         self.items: dict[str, Any] = {}  # by path: the storage of a dataset, or the identifier of another object
@@ -164,26 +164,26 @@ class Tree:
         """Return the faults of single objects and of their sums, one line each, with the object's path."""
         faults: list[str] = []
         nodes: list[Node] = []
-        attributes = names = paths = 0
+        attribute_bytes_of_file = attribute_count = path_bytes = 0
         btrees = BTrees(self._raw, file.id.get_create_plist().get_userblock())
         btrees.check(h5py.h5g.get_objinfo(file.id, b"/").objno[0], "/")  # `h5o.get_info` would walk the tree
-        deepest = MOST_FOREIGN_LEVELS if self._foreign else MOST_LEVELS
-        for count, (path, item) in enumerate(walk(file.id, btrees, deepest), 1):
-            paths += len(path)
+        most_levels = MOST_FOREIGN_LEVELS if self._foreign else MOST_LEVELS
+        for count, (path, item) in enumerate(walk(file.id, btrees, most_levels), 1):
+            path_bytes += len(path)
             if count > MOST_OBJECTS:
                 raise InputError(f"more than {MOST_OBJECTS} groups and datasets; fewer were expected of a run")
-            if paths > MOST_PATH_BYTES:
+            if path_bytes > MOST_PATH_BYTES:
                 raise InputError(f"more than {MOST_PATH_BYTES} bytes of names; fewer were expected")
             if item is None:
                 faults.append(f"{path}: a link instead of data; no link is followed")
                 continue
             self.items[path] = item
             nodes.append(Node(path, item))
-            names += int(h5py.h5a.get_num_attrs(item))
-            if names > MOST_ATTRIBUTES:
+            attribute_count += int(h5py.h5a.get_num_attrs(item))
+            if attribute_count > MOST_ATTRIBUTES:
                 raise InputError(f"{path}: more than {MOST_ATTRIBUTES} attributes in this file; fewer were expected")
             size = attribute_bytes(item)
-            attributes += size
+            attribute_bytes_of_file += size
             is_read = is_read_of_mat if self._foreign else is_read_of_run
             faults += faults_of_attributes(size, path) or faults_of_attribute_types(item, path, is_read)
             if isinstance(item, h5py.h5d.DatasetID) and not is_shallow(item.get_type()):
@@ -193,34 +193,38 @@ class Tree:
                 self.items[path] = storage = Storage.of(item)
                 self._datasets.append((path, item, storage))
                 faults += faults_of_dataset(storage, path, self._foreign)
-        if attributes > MOST_ATTRIBUTE_BYTES_OF_FILE and not faults:
-            faults.append(f"{attributes} bytes of attributes; at most {MOST_ATTRIBUTE_BYTES_OF_FILE} were expected")
+        if attribute_bytes_of_file > MOST_ATTRIBUTE_BYTES_OF_FILE and not faults:
+            faults.append(
+                f"{attribute_bytes_of_file} bytes of attributes; at most {MOST_ATTRIBUTE_BYTES_OF_FILE} were expected"
+            )
         return (
             faults
-            or faults_of_texts_in_attributes(nodes, attributes, self._longest, MOST_ATTRIBUTE_BYTES_OF_FILE)
+            or faults_of_texts_in_attributes(
+                nodes, attribute_bytes_of_file, self._longest, MOST_ATTRIBUTE_BYTES_OF_FILE
+            )
             or self._faults_of_sizes()
             or self._faults_of_texts()
         )
 
     def _faults_of_sizes(self) -> list[str]:
         """Return a line if too many values were never written, overlap one another, or exceed `MOST_UNPACKED`."""
-        unwritten_bytes, largest = 0, ("", 0)
-        stored: dict[int, int] = {}  # bytes by address, since an object may have two names
+        unwritten_bytes, largest_gap = 0, ("", 0)
+        stored_by_address: dict[int, int] = {}  # bytes by address, since an object may have two names
         for path, item, storage in self._datasets:
-            # the sum of such small values stays below the limit
+            # even `MOST_OBJECTS` datasets of this size together stay below the limit
             if storage.size <= MOST_UNWRITTEN_BYTES // MOST_OBJECTS:
                 continue
             stored_bytes = int(item.get_storage_size())
-            stored[h5py.h5o.get_info(item).addr] = stored_bytes
+            stored_by_address[h5py.h5o.get_info(item).addr] = stored_bytes
             size = max(0, storage.size - (MOST_DEFLATE_RATIO if storage.is_packed else 1) * stored_bytes)
             unwritten_bytes += size
-            largest = max(largest, (path, size), key=lambda candidate: candidate[1])
+            largest_gap = max(largest_gap, (path, size), key=lambda candidate: candidate[1])
         if unwritten_bytes > MOST_UNWRITTEN_BYTES:
             return [
-                f"{largest[0]}: announces {largest[1]} bytes of values that were never written; at most"
+                f"{largest_gap[0]}: announces {largest_gap[1]} bytes of values that were never written; at most"
                 f" {MOST_UNWRITTEN_BYTES} were expected, as a recording that was cut off may leave them"
             ]
-        if (size := sum(stored.values())) > self._file_size:
+        if (size := sum(stored_by_address.values())) > self._file_size:
             return [f"damaged: its values take {size} bytes in a file of {self._file_size}"]
         most_bytes = MOST_UNPACKED[0] * self._file_size + MOST_UNPACKED[1]
         if (size := sum(storage.size for _, _, storage in self._datasets)) > most_bytes:
@@ -262,13 +266,13 @@ class Tree:
             references = b"".join(chunk_bytes for chunk_bytes in chunks_unpacked if chunk_bytes is not None)
             return np.frombuffer(references, TEXT_IN_HEAP, len(references) // size)["length"].astype(np.int64)
         if storage.chunk_values:
-            parts = [(chunk.byte_offset, chunk.size) for chunk in chunks(item)]
+            stored_ranges = [(chunk.byte_offset, chunk.size) for chunk in chunks(item)]
         else:
-            parts = [(item.get_offset(), storage.announced * TEXT_IN_HEAP.itemsize)]
+            stored_ranges = [(item.get_offset(), storage.announced * TEXT_IN_HEAP.itemsize)]
         references = b""
-        for at, size in parts:
-            if at is not None:  # None: not written, or in the header
-                self._raw.seek(at)
+        for offset, size in stored_ranges:
+            if offset is not None:  # None: not written, or in the header
+                self._raw.seek(offset)
                 references += self._raw.read(min(size, self._file_size))
         return np.frombuffer(references, TEXT_IN_HEAP, len(references) // TEXT_IN_HEAP.itemsize)["length"].astype(
             np.int64
@@ -289,15 +293,17 @@ class Tree:
         ]
 
 
-def walk(group: Any, btrees: BTrees, deepest: int, path: str = "", depth: int = 0) -> Iterator[Node]:
+def walk(group: Any, btrees: BTrees, most_levels: int, path: str = "", depth: int = 0) -> Iterator[Node]:
     """Yield every group and dataset below a group, and every soft and external link, which is not followed."""
     for name, kind, header in links(group):
-        text = name.decode("utf-8", "surrogateescape")
+        name_text = name.decode("utf-8", "surrogateescape")
         if len(name) > LONGEST_NAME:
-            raise InputError(f"{path}/{shown(text)}: a name of {len(name)} bytes; at most {LONGEST_NAME} were expected")
-        node_path = f"{path}/{text}"
-        if depth == deepest:  # for example if a group contains itself
-            raise InputError(f"{node_path}: lies in more than {deepest} groups; fewer were expected")
+            raise InputError(
+                f"{path}/{shown(name_text)}: a name of {len(name)} bytes; at most {LONGEST_NAME} were expected"
+            )
+        node_path = f"{path}/{name_text}"
+        if depth == most_levels:  # for example if a group contains itself
+            raise InputError(f"{node_path}: lies in more than {most_levels} groups; fewer were expected")
         if kind != h5py.h5l.TYPE_HARD:
             yield Node(node_path, None)
             continue
@@ -305,7 +311,7 @@ def walk(group: Any, btrees: BTrees, deepest: int, path: str = "", depth: int = 
         node = Node(node_path, h5py.h5o.open(group, name))
         yield node
         if isinstance(node.item, h5py.h5g.GroupID):
-            yield from walk(node.item, btrees, deepest, node_path, depth + 1)
+            yield from walk(node.item, btrees, most_levels, node_path, depth + 1)
 
 
 def links(group: Any) -> list[tuple[bytes, int, int]]:
@@ -370,16 +376,16 @@ def faults_of_attributes(size: int, hdf5_path: str) -> list[str]:
 
 def attribute_bytes(item: Any) -> int:
     """Return the size of an object's attributes [bytes], by their headers."""
-    least = int(h5py.h5a.get_num_attrs(item)) * ATTRIBUTE_HEADER
-    if not 0 < least <= MOST_ATTRIBUTE_BYTES:
-        return least
+    header_bytes = int(h5py.h5a.get_num_attrs(item)) * ATTRIBUTE_HEADER
+    if not 0 < header_bytes <= MOST_ATTRIBUTE_BYTES:
+        return header_bytes
     sizes: list[int] = []
     # in one pass, since HDF5 searches from the beginning for each attribute that is opened by its number
     h5py.h5a.iterate(item, lambda _name, attribute: sizes.append(attribute.data_size), info=True)
-    return least + sum(sizes)
+    return header_bytes + sum(sizes)
 
 
-def faults_of_texts_in_attributes(nodes: Iterable[Node], size: int, longest: int, most: int) -> list[str]:
+def faults_of_texts_in_attributes(nodes: Iterable[Node], size: int, longest: int, most_bytes: int) -> list[str]:
     """Return a line if texts in attributes exceed the limits.
 
     Parameters
@@ -387,9 +393,9 @@ def faults_of_texts_in_attributes(nodes: Iterable[Node], size: int, longest: int
     nodes : the objects whose attributes are checked.
     size : size of all their attributes [bytes]; a text counts as its reference.
     longest : length of the longest text in the file's heaps [bytes]; if it rules out an excess, no text is read.
-    most : limit of the size of all texts [bytes].
+    most_bytes : limit of the size of all texts [bytes].
     """
-    if size // TEXT_IN_HEAP.itemsize * longest <= most:
+    if size // TEXT_IN_HEAP.itemsize * longest <= most_bytes:
         return []
     total_bytes = 0
     for path, item in nodes:
@@ -404,8 +410,8 @@ def faults_of_texts_in_attributes(nodes: Iterable[Node], size: int, longest: int
             texts = np.empty(attribute.shape, attribute.dtype)
             attribute.read(texts)
             item_bytes += sum(len(text) for text in texts.flat)
-            if (item_faults := faults_of_attributes(item_bytes, path)) or total_bytes + item_bytes > most:
-                return item_faults or [f"more than {most} bytes of texts in attributes; fewer were expected"]
+            if (item_faults := faults_of_attributes(item_bytes, path)) or total_bytes + item_bytes > most_bytes:
+                return item_faults or [f"more than {most_bytes} bytes of texts in attributes; fewer were expected"]
         total_bytes += item_bytes
     return []
 

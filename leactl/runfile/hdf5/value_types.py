@@ -29,17 +29,19 @@ NEITHER_NUMBERS_NOR_TEXTS: Final = {
 
 def is_plain(type_id: Any) -> bool:
     """Return whether values of a type are numbers, texts or members of a short enumeration."""
-    kind = type_id.get_class()
-    return kind in NUMBERS_AND_TEXTS and (kind != h5py.h5t.ENUM or type_id.get_nmembers() <= MOST_MEMBERS)
+    type_class = type_id.get_class()
+    return type_class in NUMBERS_AND_TEXTS and (type_class != h5py.h5t.ENUM or type_id.get_nmembers() <= MOST_MEMBERS)
 
 
 def is_shallow(type_id: Any) -> bool:
     """Return whether a type is plain, a compound of plain types, or a class without members, such as a reference."""
-    kind = type_id.get_class()
-    if kind == h5py.h5t.COMPOUND:
-        members = type_id.get_nmembers()
-        return members <= MOST_MEMBERS and all(is_plain(type_id.get_member_type(number)) for number in range(members))
-    return is_plain(type_id) or kind not in (*NUMBERS_AND_TEXTS, h5py.h5t.ARRAY, h5py.h5t.VLEN, h5py.h5t.TIME)
+    type_class = type_id.get_class()
+    if type_class == h5py.h5t.COMPOUND:
+        member_count = type_id.get_nmembers()
+        return member_count <= MOST_MEMBERS and all(
+            is_plain(type_id.get_member_type(number)) for number in range(member_count)
+        )
+    return is_plain(type_id) or type_class not in (*NUMBERS_AND_TEXTS, h5py.h5t.ARRAY, h5py.h5t.VLEN, h5py.h5t.TIME)
 
 
 def description_of_type(type_id: Any, expected: str = "text") -> str:
@@ -47,20 +49,20 @@ def description_of_type(type_id: Any, expected: str = "text") -> str:
 
     `expected` names the values besides numbers that were expected.
     """
-    kind = type_id.get_class()
+    type_class = type_id.get_class()
     if is_complex(type_id):
         return f"complex numbers; real ones or {expected} were expected"
-    if kind in NUMBERS_OF_OTHER_TYPES:
-        return f"{NUMBERS_OF_OTHER_TYPES[kind]}; numbers or {expected} were expected"
-    actual = NEITHER_NUMBERS_NOR_TEXTS.get(kind, "values of a type that is not known")
-    return f"neither numbers nor {expected} but {actual}"
+    if type_class in NUMBERS_OF_OTHER_TYPES:
+        return f"{NUMBERS_OF_OTHER_TYPES[type_class]}; numbers or {expected} were expected"
+    description = NEITHER_NUMBERS_NOR_TEXTS.get(type_class, "values of a type that is not known")
+    return f"neither numbers nor {expected} but {description}"
 
 
 def is_complex(type_id: Any) -> bool:
     """Return whether values of a type are complex numbers; h5py stores them as compounds of `r` and `i`."""
-    kind = type_id.get_class()
-    if kind != h5py.h5t.COMPOUND:
-        return bool(kind == getattr(h5py.h5t, "COMPLEX", None))  # a class of its own from HDF5 2.0 on
+    type_class = type_id.get_class()
+    if type_class != h5py.h5t.COMPOUND:
+        return bool(type_class == getattr(h5py.h5t, "COMPLEX", None))  # a class of its own from HDF5 2.0 on
     names = [type_id.get_member_name(number) for number in range(min(3, type_id.get_nmembers()))]
     return names in ([b"r", b"i"], [b"real", b"imag"])
 
@@ -73,7 +75,9 @@ def is_text_of_any_length(type_id: Any) -> bool:
 def faults_of_attribute_types(item: Any, hdf5_path: str, is_read: Callable[[bytes], bool]) -> list[str]:
     """Return one line for each attribute of an object whose value is read and whose type is not plain.
 
-    `is_read` tells by the name whether the value of an attribute is read.
+    Parameters
+    ----------
+    is_read : returns by its name whether the value of an attribute is read.
     """
     faults = []
     for name in filter(is_read, attribute_names(item)):

@@ -18,14 +18,14 @@ from leactl.runfile.importing.streams import Stream
 from leactl.units import CONVERSIONS, TURN
 
 Array = npt.NDArray[np.float64]
-FEWEST_COMMON_ROWS = 50  # of two channels
+FEWEST_COMMON_ROWS = 50  # rows of two channels at common times, for an estimate of their gain
 CALIBRATION_ERROR = 0.05  # relative difference of two sensors, or of a loop and its setpoint, if the units are right
 GAIN_ERROR_STDS = 4.0  # standard errors of the gain, added to `CALIBRATION_ERROR` as tolerance of a unit's factor
 LARGEST_GAIN_ERROR = 0.1  # relative standard error above which a gain is not used
-LEAST_EXPLAINED_SHARE = 0.9  # of one channel's squares, by the other: a lag or a limit is no factor
+LEAST_EXPLAINED_SHARE = 0.9  # of one channel's squares, by the other; less means a lag or a limit instead of a factor
 SMALLEST_REPORTED_FACTOR = 2.0  # friction, ripple and limits cause smaller factors
 LARGEST_UNREPORTED_FACTOR = 20.0  # a larger factor, or its inverse, is reported even if it is not that of a unit
-LEAST_VARIATION = 0.1  # of a setpoint's root mean square; a setpoint that varies less shows its gain only by its level
+LEAST_VARIATION = 0.1  # as a share of a setpoint's root mean square; if it varies less, its gain is that of the levels
 TRAVEL_BLOCKS = 40  # parts of a record in which travel by angle and by velocity are compared: noise averages out
 SETPOINTS: Final = {name.removesuffix("_reference"): name for name in UNITS if name.endswith("_reference")}
 # the widest ranges of electric machines, from watchmaking to traction
@@ -81,9 +81,9 @@ def mapped_columns(streams: dict[str, Stream], mapping: Mapping) -> Iterator[tup
     """Yield the key (quantity, role, location) and the finite samples of each channel."""
     for name, stream in streams.items():
         for spec, values in zip(stream.specs, stream.values, strict=True):
-            known = np.isfinite(values)
+            is_finite = np.isfinite(values)
             units = mapping.streams[name].channels[spec.name].units or spec.unit
-            column = MappedColumn(f"{name}/{spec.name}", stream.time[known], values[known], units, spec.unit)
+            column = MappedColumn(f"{name}/{spec.name}", stream.time[is_finite], values[is_finite], units, spec.unit)
             yield (spec.quantity, spec.role, spec.location), column
 
 
@@ -99,16 +99,17 @@ def notes_on_gain(
     """
     if gain is None or gain.explained < LEAST_EXPLAINED_SHARE or gain.std > LARGEST_GAIN_ERROR * abs(gain.value):
         return
-    size = abs(gain.value)
+    magnitude = abs(gain.value)
     distances = [
-        (abs(math.log(size / factor)), unit_text) for factor, unit_text in [(1.0, ""), *unit_factors(column, reference)]
+        (abs(math.log(magnitude / factor)), unit_text)
+        for factor, unit_text in [(1.0, ""), *unit_factors(column, reference)]
     ]
-    tolerance = math.log1p(CALIBRATION_ERROR) + GAIN_ERROR_STDS * gain.std / size
+    tolerance = math.log1p(CALIBRATION_ERROR) + GAIN_ERROR_STDS * gain.std / magnitude
     candidates = [unit_text for distance, unit_text in sorted(distances) if distance <= tolerance]
     finding = f"{column.path} reads {gain.value:.4g} times {reference_text}"
     if candidates and all(candidates):
         yield f"{finding}: {', or '.join(candidates)}? a gear of that ratio would look alike"
-    elif not 1.0 / LARGEST_UNREPORTED_FACTOR < size < LARGEST_UNREPORTED_FACTOR:
+    elif not 1.0 / LARGEST_UNREPORTED_FACTOR < magnitude < LARGEST_UNREPORTED_FACTOR:
         yield f"{finding}: are scale and units of both right? a gear of that ratio would look alike"
     elif gain.value < 0.0:
         yield f"{finding}: is the sign of both right?"
@@ -141,12 +142,12 @@ def gain_by_travel(velocity: MappedColumn, angle: MappedColumn) -> Gain | None:
     if min(len(velocity.time), len(angle.time)) < FEWEST_COMMON_ROWS:
         return None
     steps = np.diff(velocity.time) * 0.5 * (velocity.values[1:] + velocity.values[:-1])
-    travelled = np.concatenate([[0.0], np.cumsum(steps)])
-    common = (angle.time >= velocity.time[0]) & (angle.time <= velocity.time[-1])
-    travel_steps = np.diff(np.interp(angle.time[common], velocity.time, travelled))
+    travel = np.concatenate([[0.0], np.cumsum(steps)])
+    is_common = (angle.time >= velocity.time[0]) & (angle.time <= velocity.time[-1])
+    travel_steps = np.diff(np.interp(angle.time[is_common], velocity.time, travel))
     if len(travel_steps) < FEWEST_COMMON_ROWS:
         return None
-    angle_steps = unwrapped_steps(angle.values[common], travel_steps, angle.target)
+    angle_steps = unwrapped_steps(angle.values[is_common], travel_steps, angle.target)
     block_starts = np.linspace(0, len(angle_steps), TRAVEL_BLOCKS, endpoint=False).astype(int)
     return gain_through_zero(np.add.reduceat(travel_steps, block_starts), np.add.reduceat(angle_steps, block_starts))
 
@@ -158,22 +159,22 @@ def unwrapped_steps(angle: Array, travel_steps: Array, units: str) -> Array:
     agrees with any velocity, and gives no information.
     """
     steps = np.asarray(np.diff(angle), np.float64)
-    reach = float(np.ptp(angle))
-    if units != "rad" or reach == 0.0:
+    angle_range = float(np.ptp(angle))
+    if units != "rad" or angle_range == 0.0:
         return steps
-    if np.abs(steps).max() > 0.5 * reach:
-        return add_turns(steps, travel_steps, turn_of(steps, reach))
+    if np.abs(steps).max() > 0.5 * angle_range:
+        return add_turns(steps, travel_steps, turn_of(steps, angle_range))
     # a shaft that turns by about whole turns from row to row seems to stand still or to turn slowly
     steps_plus_turns = add_turns(steps, travel_steps, TURN)
     has_turns = (steps_plus_turns != steps) & (CALIBRATION_ERROR * np.abs(travel_steps) < 0.125 * TURN)
-    close = np.abs(steps_plus_turns - travel_steps)[has_turns] <= CALIBRATION_ERROR * np.abs(travel_steps)[has_turns]
-    return steps_plus_turns if reach <= TURN and (not has_turns.any() or close.mean() > 0.5) else steps
+    agrees = np.abs(steps_plus_turns - travel_steps)[has_turns] <= CALIBRATION_ERROR * np.abs(travel_steps)[has_turns]
+    return steps_plus_turns if angle_range <= TURN and (not has_turns.any() or agrees.mean() > 0.5) else steps
 
 
-def turn_of(steps: Array, reach: float) -> float:
+def turn_of(steps: Array, angle_range: float) -> float:
     """Return the size of the jumps of a wrapped angle: the difference of the steps at a jump and before it."""
-    jumps = np.flatnonzero((np.abs(steps[1:]) > 0.5 * reach) & (steps[1:] * steps[:-1] < 0.0)) + 1
-    turn = float(np.median(np.abs(steps[jumps] - steps[jumps - 1]))) if len(jumps) else reach
+    jumps = np.flatnonzero((np.abs(steps[1:]) > 0.5 * angle_range) & (steps[1:] * steps[:-1] < 0.0)) + 1
+    turn = float(np.median(np.abs(steps[jumps] - steps[jumps - 1]))) if len(jumps) else angle_range
     return TURN if abs(turn / TURN - 1.0) < CALIBRATION_ERROR else turn
 
 
@@ -187,24 +188,27 @@ def gain_by_setpoint(column: MappedColumn, setpoint: MappedColumn, quantity: str
 
     None for an angle with a constant setpoint too, since the zero of an angle is arbitrary.
     """
-    common = (column.time >= setpoint.time[0]) & (column.time <= setpoint.time[-1])
-    if common.sum() < FEWEST_COMMON_ROWS:
+    is_common = (column.time >= setpoint.time[0]) & (column.time <= setpoint.time[-1])
+    if is_common.sum() < FEWEST_COMMON_ROWS:
         return None
-    measured, expected = column.values[common], np.interp(column.time[common], setpoint.time, setpoint.values)
+    measured, expected = column.values[is_common], np.interp(column.time[is_common], setpoint.time, setpoint.values)
     if np.std(expected) > LEAST_VARIATION * math.sqrt(float(np.mean(expected**2))):
         return gain_through_zero(measured - measured.mean(), expected - expected.mean())
     return gain_through_zero(measured, expected) if quantity != "angle" else None
 
 
 def gain_through_zero(measured: Array, expected: Array) -> Gain | None:
-    """Fit a line through zero; the standard error includes the autocorrelation of the residual."""
-    power, squares = float(expected @ expected), float(measured @ measured)
-    if power == 0.0 or squares == 0.0:
+    """Fit a line through zero, with a standard error that includes the autocorrelation of the residual.
+
+    None if either channel is zero throughout.
+    """
+    expected_squares, measured_squares = float(expected @ expected), float(measured @ measured)
+    if expected_squares == 0.0 or measured_squares == 0.0:
         return None
-    gain = float(measured @ expected) / power
+    gain = float(measured @ expected) / expected_squares
     residual = measured - gain * expected
-    std = math.sqrt(autocorrelated_variance(residual * expected)) / power
-    return Gain(gain, std, 1.0 - float(residual @ residual) / squares)
+    std = math.sqrt(autocorrelated_variance(residual * expected)) / expected_squares
+    return Gain(gain, std, 1.0 - float(residual @ residual) / measured_squares)
 
 
 def implausible_values(name: str, stream: Stream) -> Iterator[str]:
@@ -217,32 +221,32 @@ def implausible_values(name: str, stream: Stream) -> Iterator[str]:
         yield f"stream {name}: {interval:.3g} s between samples; are time.units right?"
     for spec, values in zip(stream.specs, stream.values, strict=True):
         low, high = PLAUSIBLE.get(spec.unit, (-np.inf, np.inf))
-        wrong = np.flatnonzero((values < low) | (values > high))
-        if len(wrong):
-            worst = values[wrong[0]]
-            finding = f"{worst:.6g} {spec.unit} at {stream.time[wrong[0]]:.6g} s is outside {low:g} .. {high:g}"
+        rows = np.flatnonzero((values < low) | (values > high))
+        if len(rows):
+            first_value = values[rows[0]]
+            finding = f"{first_value:.6g} {spec.unit} at {stream.time[rows[0]]:.6g} s is outside {low:g} .. {high:g}"
             yield f"stream {name}, channel {spec.name}: {finding}; are units and scale right?"
 
 
 def notes_on_gaps(streams: dict[str, Stream]) -> Iterator[str]:
     """Yield a note for each stream or channel with gaps that are far longer than its usual sampling interval."""
     for name, stream in streams.items():
-        usual = float(np.median(np.diff(stream.time)))
-        if gap := longest_gap(stream.time, usual):
-            yield f"stream {name}: {gap}; samples come every {usual:.4g} s otherwise"
+        usual_interval = float(np.median(np.diff(stream.time)))
+        if gap := longest_gap(stream.time, usual_interval):
+            yield f"stream {name}: {gap}; samples come every {usual_interval:.4g} s otherwise"
         for spec, values in zip(stream.specs, stream.values, strict=True):
-            known = stream.time[np.isfinite(values)]
-            if not 1 < len(known) < len(stream.time):
+            finite_stamps = stream.time[np.isfinite(values)]
+            if not 1 < len(finite_stamps) < len(stream.time):
                 continue
-            channel_gap = longest_gap(known, float(np.median(np.diff(known))))
+            channel_gap = longest_gap(finite_stamps, float(np.median(np.diff(finite_stamps))))
             if channel_gap and channel_gap != gap:
                 yield f"stream {name}, channel {spec.name}: {channel_gap}"
 
 
-def longest_gap(time: Array, usual: float) -> str:
-    """Describe the longest gap between stamps far beyond the `usual` interval [s]; empty if there is none."""
+def longest_gap(time: Array, usual_interval: float) -> str:
+    """Describe the longest of the gaps that are far longer than the usual interval [s]; empty if there is none."""
     intervals = np.diff(time)
-    gaps = np.flatnonzero(intervals > max(GAP_INTERVALS * usual, SHORTEST_GAP_S))
+    gaps = np.flatnonzero(intervals > max(GAP_INTERVALS * usual_interval, SHORTEST_GAP_S))
     if not 0 < len(gaps) <= MOST_GAP_SHARE * len(intervals):
         return ""
     longest = int(gaps[np.argmax(intervals[gaps])])

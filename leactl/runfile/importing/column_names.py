@@ -105,8 +105,8 @@ def meaning_of(name: str, declared: str = "", siblings: Collection[str] = ()) ->
     name_without_unit = name if is_one_of_phases(name, siblings) else without_unit(name)
     last_part = re.split(r"[./]", re.sub(r"\[[^\]]*\]$", "", name_without_unit))[-1]
     words = words_of(name_without_unit)
-    if excluded := [word for word in words_of(last_part) if word in word_table()["none"]]:
-        return Meaning("", "", "", f"its name says {excluded[0]}")
+    if excluded_words := [word for word in words_of(last_part) if word in word_table()["none"]]:
+        return Meaning("", "", "", f"its name says {excluded_words[0]}")
     units = declared if declared in EVERY_UNIT else units_of(name, list(EVERY_UNIT))
     rule = rule_of(words_of(last_part), name, units) or rule_of(words, name, units)
     if rule is not None and "left_out" in rule:
@@ -151,8 +151,8 @@ def is_one_of_phases(name: str, siblings: Collection[str]) -> bool:
 
 def unknown_unit(name: str) -> str:
     """Return the text in brackets at the end of a name if it looks like an unknown unit; else empty."""
-    text = unit_of(name)
-    return text if _UNIT_SIGN.search(text) and not units_in_brackets(name) and text not in AMBIGUOUS_UNITS else ""
+    unit = unit_of(name)
+    return unit if _UNIT_SIGN.search(unit) and not units_in_brackets(name) and unit not in AMBIGUOUS_UNITS else ""
 
 
 def without_unit(name: str) -> str:
@@ -170,21 +170,21 @@ def units_in_brackets(name: str) -> str:
     return UNITS_BY_LETTERS.get(re.sub(r"[*.· ]", "", units), "")
 
 
-def units_of(name: str, known: list[str]) -> str:
-    """Return the unit at the end of a name, in brackets or after an underscore, if it is one of `known`; else empty."""
-    written = units_in_brackets(name)
-    tail = re.split(r"[./]", name)[-1].split("_")
-    endings = [written] if written else ["_".join(tail[-count:]) for count in (2, 1) if len(tail) > count]
-    if not written and "." in name and len(tail[-1]) > 1:
-        endings.append(tail[-1])  # `angle.deg`, where a letter alone is a name
+def units_of(name: str, candidates: list[str]) -> str:
+    """Return the unit at the end of a name, in brackets or after an underscore, if it is a candidate; else empty."""
+    bracketed = units_in_brackets(name)
+    words = re.split(r"[./]", name)[-1].split("_")
+    endings = [bracketed] if bracketed else ["_".join(words[-count:]) for count in (2, 1) if len(words) > count]
+    if not bracketed and "." in name and len(words[-1]) > 1:
+        endings.append(words[-1])  # `angle.deg`, where a letter alone is a name
     for ending in endings:
         for units, aliases in ALIASES.items():
-            is_unit = written or (units not in ONLY_IN_BRACKETS and _case_fits(name, ending, units))
-            if is_unit and ending.lower() in aliases and units in known:
+            is_unit = bracketed or (units not in ONLY_IN_BRACKETS and _case_fits(name, ending, units))
+            if is_unit and ending.lower() in aliases and units in candidates:
                 return units
-    if written in known:
-        return written
-    return rpm_in_words(name) if rpm_in_words(name) in known else ""
+    if bracketed in candidates:
+        return bracketed
+    return rpm_in_words(name) if rpm_in_words(name) in candidates else ""
 
 
 def _case_fits(name: str, ending: str, units: str) -> bool:

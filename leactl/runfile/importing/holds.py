@@ -16,18 +16,18 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
-WINDOWS_PER_HOLD = 4  # in the shortest hold: the two around a row leave half of the hold undisturbed
+WINDOWS_PER_HOLD = 4  # windows in the shortest hold; those before and after a row leave half of the hold undisturbed
 FEWEST_WINDOW_ROWS = 8  # so that the scatter of a window can be estimated
 CHANGE_STDS = 5.0  # standard deviations by which the means of two windows differ where a level changes
-CALM_QUANTILE = 0.1  # of the ratios, by which the scatter of means is first estimated
+CALM_QUANTILE = 0.1  # quantile of change over scatter from which the scatter of means is first estimated
 # |z| below which 20 % of a normal variable lie: half of the rows lie in holds, so 2 * CALM_QUANTILE
 CALM_NORMAL_QUANTILE = 0.2533
 SCATTER_ERROR_STDS = 2.0  # standard errors added to the estimated scatter of means
-MOST_ROUNDS = 20  # iterations of leaving out changes; fewer if the estimate no longer changes
+MOST_ROUNDS = 20  # iterations in which changes are left out; fewer if the estimate no longer changes
 # a row is off its level beyond 2.5 times the 99.5 % quantile of deviations (7 sd if normal)
 TAIL_QUANTILE, TAIL_MULTIPLE = 0.995, 2.5
 ROUNDING_ERROR = 1e-9  # relative rounding error of a mean of equal numbers
-MOST_DRIFT_SHARE = 0.25  # of the smallest step between levels, that a level may drift beyond its noise
+MOST_DRIFT_SHARE = 0.25  # of the smallest step between levels; a level may drift by this beyond its noise
 
 
 class LevelHold(NamedTuple):
@@ -57,12 +57,12 @@ def find_holds(time: Array, values: Array, least_s: float, settle_s: float, is_s
     if not len(finite_rows):
         return []
     stamps, levels = time[finite_rows], median_of_three(values[finite_rows])
-    rounded = ROUNDING_ERROR * float(np.abs(levels).max())
+    rounding_error = ROUNDING_ERROR * float(np.abs(levels).max())
     window = round(len(finite_rows) * least_s / WINDOWS_PER_HOLD / max(float(stamps[-1] - stamps[0]), least_s))
     # rows after which a channel has no value for long, for example a setpoint while its drive is in another mode
     silences = np.flatnonzero(np.diff(stamps, append=time[-1]) > least_s / WINDOWS_PER_HOLD) + 1
 
-    def lasting(holds: Iterable[LevelHold]) -> dict[LevelHold, LevelHold]:
+    def lasting_holds(holds: Iterable[LevelHold]) -> dict[LevelHold, LevelHold]:
         """Return the parts of holds that last `least_s`, in indices of all rows by those in indices of finite rows."""
         parts = {
             part: rows_among_all(part, finite_rows, silences, len(values))
@@ -71,11 +71,13 @@ def find_holds(time: Array, values: Array, least_s: float, settle_s: float, is_s
         ends = {part: float(time[min(hold.after, len(time) - 1)]) for part, hold in parts.items()}
         return {part: hold for part, hold in parts.items() if ends[part] - time[hold.first] >= least_s}
 
-    holds = lasting(constant_stretches(levels, rounded)) if is_setpoint or window < FEWEST_WINDOW_ROWS else {}
+    holds = (
+        lasting_holds(constant_stretches(levels, rounding_error)) if is_setpoint or window < FEWEST_WINDOW_ROWS else {}
+    )
     if not holds and window >= FEWEST_WINDOW_ROWS:
         means = WindowMeans(levels, window)
-        holds = lasting(between_changes(levels, means, rounded))
-        refuse_wandering([*holds], levels, means, stamps, settle_s, rounded)
+        holds = lasting_holds(between_changes(levels, means, rounding_error))
+        refuse_drift([*holds], levels, means, stamps, settle_s, rounding_error)
     return [*holds.values()]
 
 
@@ -90,23 +92,23 @@ def median_of_three(values: Array) -> Array:
 def split_at_silences(holds: Iterable[LevelHold], silences: Rows) -> Iterator[LevelHold]:
     """Split holds at rows that follow a silence; `before` of a part after a silence is NaN."""
     for hold in holds:
-        inside = silences[(silences > hold.first) & (silences < hold.after)].tolist()
-        for first, after in pairwise([hold.first, *inside, hold.after]):
+        splits = silences[(silences > hold.first) & (silences < hold.after)].tolist()
+        for first, after in pairwise([hold.first, *splits, hold.after]):
             yield hold._replace(first=first, after=after, before=math.nan if first in silences else hold.before)
 
 
-def rows_among_all(hold: LevelHold, known: Rows, silences: Rows, rows: int) -> LevelHold:
+def rows_among_all(hold: LevelHold, finite_rows: Rows, silences: Rows, rows: int) -> LevelHold:
     """Convert a hold from indices of finite rows to indices of all rows."""
     if hold.after in silences:
-        after = int(known[hold.after - 1]) + 1
+        after = int(finite_rows[hold.after - 1]) + 1
     else:
-        after = int(known[hold.after]) if hold.after < len(known) else rows
-    return hold._replace(first=int(known[hold.first]), after=after)
+        after = int(finite_rows[hold.after]) if hold.after < len(finite_rows) else rows
+    return hold._replace(first=int(finite_rows[hold.first]), after=after)
 
 
-def constant_stretches(values: Array, rounded: float) -> list[LevelHold]:
-    """Return the stretches of constant value, up to the rounding error `rounded`."""
-    changes = np.flatnonzero(np.abs(np.diff(values)) > rounded) + 1
+def constant_stretches(values: Array, rounding_error: float) -> list[LevelHold]:
+    """Return the stretches in which the value is constant up to `rounding_error`."""
+    changes = np.flatnonzero(np.abs(np.diff(values)) > rounding_error) + 1
     edges = [0, *changes.tolist(), len(values)]
     return [
         LevelHold(first, after, float(values[first]), float(values[first - 1]) if first else math.nan)
@@ -123,33 +125,34 @@ class WindowMeans:
         mean, square, moment = (window_means(column, window) for column in (centred, centred**2, rows * centred))
         # without the slope of a ramp, which is not noise
         middle = rows[: len(mean)] + 0.5 * (window - 1)
-        sloping = (moment - middle * mean) ** 2 / ((window**2 - 1) / 12.0)
-        variance = np.maximum(square - mean**2 - sloping, 0.0)
+        slope_variance = (moment - middle * mean) ** 2 / ((window**2 - 1) / 12.0)
+        variance = np.maximum(square - mean**2 - slope_variance, 0.0)
         self.window = window
         self.mean = mean  # of the window that begins at each row
         self.change = mean[window:] - mean[:-window]  # at row `window` and later: mean after the row minus mean before
         self.scatter = np.sqrt(0.5 * (variance[window:] + variance[:-window]))
         self.least_step = float(np.ptp(mean))  # from one level to the next
-        self.colour = 0.0  # scatter of the means over the scatter of the rows in them
+        self.correlation_factor = 0.0  # scatter of the means over the scatter of the rows in them
 
-    def estimate_colour(self, rounded: float) -> None:
-        """Estimate `colour`, the scatter of window means relative to that of rows, where no level changes."""
-        noisy = self.scatter > rounded
+    def estimate_correlation_factor(self, rounding_error: float) -> None:
+        """Estimate the scatter of window means relative to that of rows, from windows in which no level changes."""
+        noisy = self.scatter > rounding_error
         if not noisy.any():
             return
-        ratios = np.abs(self.change) / np.maximum(self.scatter, rounded)
-        colour = float(np.quantile(ratios[noisy], CALM_QUANTILE)) / CALM_NORMAL_QUANTILE
+        ratios = np.abs(self.change) / np.maximum(self.scatter, rounding_error)
+        factor = float(np.quantile(ratios[noisy], CALM_QUANTILE)) / CALM_NORMAL_QUANTILE
         for _ in range(MOST_ROUNDS):
-            changes = np.concatenate([[0], np.cumsum(ratios > CHANGE_STDS * colour)])
+            changes = np.concatenate([[0], np.cumsum(ratios > CHANGE_STDS * factor)])
             rows = np.arange(len(ratios))
             low, high = np.maximum(rows - self.window, 0), np.minimum(rows + self.window + 1, len(ratios))
-            calm = ratios[noisy & (changes[high] == changes[low])]  # no change within a window of these
-            windows = max(len(calm) / self.window, 1.0)
-            before, colour = colour, math.sqrt(float(np.mean(calm**2))) if len(calm) else 0.0
-            colour *= 1.0 + SCATTER_ERROR_STDS / math.sqrt(2.0 * windows)  # an upper bound, since the windows are few
-            if colour == before:
+            calm_ratios = ratios[noisy & (changes[high] == changes[low])]  # no change within a window of these
+            window_count = max(len(calm_ratios) / self.window, 1.0)
+            previous_factor, factor = factor, math.sqrt(float(np.mean(calm_ratios**2))) if len(calm_ratios) else 0.0
+            # an upper bound, since the windows are few
+            factor *= 1.0 + SCATTER_ERROR_STDS / math.sqrt(2.0 * window_count)
+            if factor == previous_factor:
                 break
-        self.colour = colour
+        self.correlation_factor = factor
 
 
 def window_means(values: Array, window: int) -> Array:
@@ -158,7 +161,7 @@ def window_means(values: Array, window: int) -> Array:
     return np.asarray((sums[window:] - sums[:-window]) / window, np.float64)
 
 
-def between_changes(values: Array, means: WindowMeans, rounded: float) -> list[LevelHold]:
+def between_changes(values: Array, means: WindowMeans, rounding_error: float) -> list[LevelHold]:
     """Find the holds between changes of level, and extend them to all rows at the level.
 
     Raises
@@ -168,14 +171,16 @@ def between_changes(values: Array, means: WindowMeans, rounded: float) -> list[L
     window = means.window
     if len(values) < 2 * window:
         return []
-    means.estimate_colour(rounded)
+    means.estimate_correlation_factor(rounding_error)
     steps = np.abs(np.diff(values))
     # the noise of a reading that rarely changes by a count cannot be estimated: half a count is no change
-    count = float(steps[steps > rounded].min(initial=np.ptp(values))) + rounded
-    calm = np.abs(means.change) <= np.maximum(CHANGE_STDS * means.colour * means.scatter, 0.5 * count)
-    if calm.all() and np.ptp(values) > rounded:
+    reading_step = float(steps[steps > rounding_error].min(initial=np.ptp(values))) + rounding_error
+    is_calm = np.abs(means.change) <= np.maximum(
+        CHANGE_STDS * means.correlation_factor * means.scatter, 0.5 * reading_step
+    )
+    if is_calm.all() and np.ptp(values) > rounding_error:
         raise NotDistinct("no change stands out of it")
-    runs = [(first + window, after + window) for first, after in runs_of(calm)]
+    runs = [(first + window, after + window) for first, after in runs_of(is_calm)]
     if not (runs := [(first, after) for first, after in runs if after - first > window]):
         return []
     # where two runs meet, the level changed where the means differ most
@@ -183,24 +188,26 @@ def between_changes(values: Array, means: WindowMeans, rounded: float) -> list[L
         after + int(np.argmax(np.abs(means.change[after - window : first - window])))
         for (_, after), (first, _) in pairwise(runs)
     ]
-    sizes = np.abs(means.change[np.asarray(edges, int) - window])
-    means.least_step = float(sizes.min(initial=means.least_step))
+    change_sizes = np.abs(means.change[np.asarray(edges, int) - window])
+    means.least_step = float(change_sizes.min(initial=means.least_step))
     bounds = pairwise([0, *edges, len(values)])
-    holds = [hold_around(values, run, part, window, count) for run, part in zip(runs, bounds, strict=True)]
+    holds = [hold_from_run(values, run, part, window, reading_step) for run, part in zip(runs, bounds, strict=True)]
     return [hold for hold in holds if hold is not None]
 
 
-def hold_around(
-    values: Array, run: tuple[int, int], bounds: tuple[int, int], window: int, count: float
+def hold_from_run(
+    values: Array, run: tuple[int, int], bounds: tuple[int, int], window: int, reading_step: float
 ) -> LevelHold | None:
     """Extend a run of rows without change to the neighbouring rows at its level; None if no row is at that level."""
     first, after = run
     level = float(np.median(values[first:after]))
     # without the rows whose windows reach into a change, if enough rows remain
-    inner = values[first + window // 2 : after - window // 2]
-    deviations = (inner if len(inner) >= window else values[first:after]) - level
-    row_tolerance = max(TAIL_MULTIPLE * float(np.quantile(np.abs(deviations), TAIL_QUANTILE)), count)
-    mean_tolerance = max(CHANGE_STDS * float(np.std(moving_mean(deviations, window // WINDOWS_PER_HOLD))), 0.5 * count)
+    undisturbed = values[first + window // 2 : after - window // 2]
+    deviations = (undisturbed if len(undisturbed) >= window else values[first:after]) - level
+    row_tolerance = max(TAIL_MULTIPLE * float(np.quantile(np.abs(deviations), TAIL_QUANTILE)), reading_step)
+    mean_tolerance = max(
+        CHANGE_STDS * float(np.std(moving_mean(deviations, window // WINDOWS_PER_HOLD))), 0.5 * reading_step
+    )
     rows_at_level = bounds[0] + np.flatnonzero(np.abs(values[bounds[0] : bounds[1]] - level) <= row_tolerance)
     if not len(rows_at_level):
         return None
@@ -216,9 +223,9 @@ def hold_around(
     )
 
 
-def runs_of(chosen: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+def runs_of(is_chosen: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
     """Yield the first row and the row after the last of each run of True."""
-    edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False))
+    edges = np.flatnonzero(np.diff(is_chosen, prepend=False, append=False))
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 
@@ -230,18 +237,21 @@ def moving_mean(values: Array, rows: int) -> Array:
 
 
 def level_before(values: Array, first: int, level: float, tolerance: float, window: int) -> float:
-    """Return the value before a level: of the last row off it, else the mean of the rows before; NaN without any."""
-    before = values[max(first - window, 0) : first]
-    rows_off_level = before[np.abs(before - level) > tolerance]
+    """Return the value before a level: that of the last row off the level, else the mean of the rows before it.
+
+    NaN if there are no rows before it.
+    """
+    preceding = values[max(first - window, 0) : first]
+    rows_off_level = preceding[np.abs(preceding - level) > tolerance]
     if len(rows_off_level):
         return float(rows_off_level[-1])
-    return float(before.mean()) if len(before) else math.nan
+    return float(preceding.mean()) if len(preceding) else math.nan
 
 
-def refuse_wandering(
-    holds: list[LevelHold], values: Array, means: WindowMeans, stamps: Array, settle_s: float, rounded: float
+def refuse_drift(
+    holds: list[LevelHold], values: Array, means: WindowMeans, stamps: Array, settle_s: float, rounding_error: float
 ) -> None:
-    """Refuse a level that drifts by more than its noise explains and by more than a share of the smallest step.
+    """Raise NotDistinct if a level drifts by more than its noise explains and by more than a share of the steps.
 
     Raises
     ------
@@ -249,14 +259,16 @@ def refuse_wandering(
     """
     for hold in holds:
         first = int(np.searchsorted(stamps, stamps[hold.first] + settle_s))
-        inside = means.mean[first : max(hold.after - means.window, first)]
-        count = (hold.after - first) / means.window
-        if count < 2.0:
+        hold_means = means.mean[first : max(hold.after - means.window, first)]
+        window_count = (hold.after - first) / means.window
+        if window_count < 2.0:
             continue
-        rows = float(np.var(values[first : hold.after])) - float(np.var(inside))
-        expected = 0.5 * means.colour**2 * max(rows, 0.0)
-        beyond = float(np.var(inside)) - expected * (1.0 + CHANGE_STDS * math.sqrt(2.0 / count))
-        wander = 2.0 * math.sqrt(max(beyond, 0.0))
-        if wander > max(MOST_DRIFT_SHARE * means.least_step, rounded):
-            begin = f"{stamps[hold.first]:.6g} s"
-            raise NotDistinct(f"from {begin} on it wanders by {wander:.3g} and shows no change of level")
+        row_variance = float(np.var(values[first : hold.after])) - float(np.var(hold_means))
+        expected_variance = 0.5 * means.correlation_factor**2 * max(row_variance, 0.0)
+        excess_variance = float(np.var(hold_means)) - expected_variance * (
+            1.0 + CHANGE_STDS * math.sqrt(2.0 / window_count)
+        )
+        wander = 2.0 * math.sqrt(max(excess_variance, 0.0))
+        if wander > max(MOST_DRIFT_SHARE * means.least_step, rounding_error):
+            start_text = f"{stamps[hold.first]:.6g} s"
+            raise NotDistinct(f"from {start_text} on it wanders by {wander:.3g} and shows no change of level")

@@ -116,8 +116,8 @@ def expand_patterns(sources: Sequence[str]) -> list[Path]:
         else:
             matches = sorted(m for m in glob.glob(text, recursive=True) if is_log(Path(m)))  # noqa: PTH207 (a text, not a folder)
         if not matches:
-            is_there = Path(text).exists()
-            raise InputError(f"{text}: {'a regular file was expected; this is none' if is_there else 'no such file'}")
+            exists = Path(text).exists()
+            raise InputError(f"{text}: {'a regular file was expected; this is none' if exists else 'no such file'}")
         paths += [Path(match) for match in matches if Path(match) not in paths]
     return paths
 
@@ -162,13 +162,14 @@ def mappings_by_joint(
     joints = mapping.joints
     if joints == ALL or not joints:
         tables = open_source(path, mapping.format, SourceRequest(None, csv=mapping.csv)).tables()
-        known = joints_of(path, mapping, tables, document)
+        source_joints = joints_of(path, mapping, tables, document)
         if not joints:
             message = (
-                f"{PLACEHOLDER} stands in the mapping; give joints: or --joint as all or some of {', '.join(known)}"
+                f"{PLACEHOLDER} stands in the mapping; give joints: or --joint as all or some of"
+                f" {', '.join(source_joints)}"
             )
             raise InputError(document.fault(("joints",), message))
-        joints = tuple(known)
+        joints = tuple(source_joints)
     return {joint: for_joint(document, joint) for joint in joints}
 
 
@@ -180,11 +181,11 @@ def read_joint(source: LogSource, joint: str, mapping: Mapping, document: yamlfi
     InputError : all faults of the joint's streams, parts and descriptions.
     """
     streams = build_streams(source, mapping, document)
-    doubtful = [
+    implausible = [
         f"{source.path}: {line}" for name, stream in streams.items() for line in implausible_values(name, stream)
     ]
-    if doubtful:
-        raise InputError(doubtful)
+    if implausible:
+        raise InputError(implausible)
     notes = [f"{source.path}: {line}" for line in (*notes_on_gaps(streams), *notes_on_units(streams, mapping))]
     parts = split_recording(source.path, streams, mapping, document)
     runs = [
@@ -296,11 +297,11 @@ def created_text(source: LogSource, mapping: Mapping, document: yamlfile.Documen
     if mapping.run.created is None:
         moment = source.began or datetime.fromtimestamp(source.path.stat().st_mtime, UTC)
     else:
-        written = text_value(source, mapping.run.created, ("run", "created"), document)
+        text = text_value(source, mapping.run.created, ("run", "created"), document)
         try:
-            moment = datetime.fromisoformat(written)
+            moment = datetime.fromisoformat(text)
         except ValueError:
-            raise InputError(document.fault(("run", "created"), f"{written!r} is no ISO 8601 date")) from None
+            raise InputError(document.fault(("run", "created"), f"{text!r} is no ISO 8601 date")) from None
     return f"{(moment if moment.tzinfo else moment.replace(tzinfo=UTC)).astimezone(UTC):%Y-%m-%dT%H:%M:%SZ}"
 
 
@@ -322,13 +323,13 @@ def write_runs(runs: Sequence[ImportedRun], out: Path) -> list[Path]:
     targets = targets_of(runs, out)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=".import-", dir=out))
+        temporary_folder = Path(tempfile.mkdtemp(prefix=".import-", dir=out))
     except OSError as error:
         raise InputError(f"{out}: {error.strerror or error}") from None
     published: list[Path] = []
     try:
         for run in runs:
-            with RunWriter(temporary, run.info, {name: s.specs for name, s in run.streams.items()}) as writer:
+            with RunWriter(temporary_folder, run.info, {name: s.specs for name, s in run.streams.items()}) as writer:
                 for name, stream in run.streams.items():
                     writer.append(name, stream.time, np.stack(stream.values, axis=1))
                 for step in run.steps:
@@ -342,12 +343,12 @@ def write_runs(runs: Sequence[ImportedRun], out: Path) -> list[Path]:
                     if stream.aligned:
                         writer.event(0.0, "info", "import", f"stream {name}: {stream.aligned}")
         for target in targets:
-            move_without_overwriting(temporary / target.name, target)
+            move_without_overwriting(temporary_folder / target.name, target)
             published.append(target)
     except BaseException:
         for target in published:
             target.unlink()
         raise
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        shutil.rmtree(temporary_folder, ignore_errors=True)
     return targets

@@ -1,4 +1,4 @@
-"""Import one log of several joints as several runs: `{joint}` in a mapping's paths stands for each joint in turn."""
+"""Import one log of several joints as several runs: `{joint}` in a mapping's paths is replaced by each joint's name."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

@@ -272,8 +272,8 @@ class Mapping(Block):
         if label_settings and label_settings.time and label_settings.time.column is None:
             yield ("steps_by_column", "time"), "column was expected: labels that hold until the next have their stamps"
         if label_settings and label_settings.stream not in self.streams:
-            mapped = ", ".join(self.streams)
-            yield ("steps_by_column", "stream"), f"no stream {label_settings.stream!r} is mapped; {mapped} are"
+            stream_names = ", ".join(self.streams)
+            yield ("steps_by_column", "stream"), f"no stream {label_settings.stream!r} is mapped; {stream_names} are"
 
     def _faults_of_channels(self) -> Iterator[tuple[Location, str]]:
         references: list[tuple[Location, str]] = []

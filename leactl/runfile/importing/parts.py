@@ -30,17 +30,17 @@ def split_recording(path: Path, streams: Streams, mapping: Mapping, document: Do
     for index, part in enumerate(mapping.parts):
         if part.rows is not None:
             first, last = part.rows
-            cut = {name: stream.rows(first, last) for name, stream in streams.items()}
-            reached = last <= min(len(stream.time) for stream in streams.values())
+            part_streams = {name: stream.rows(first, last) for name, stream in streams.items()}
+            is_within_recording = last <= min(len(stream.time) for stream in streams.values())
         else:
             begin, end = part.time_s or (0.0, 0.0)
-            cut = cut_to(streams, begin, end)
-            reached = end <= max(float(stream.time[-1]) for stream in streams.values()) * (1 + 1e-9) + 1e-9
-        if not reached or any(len(stream.time) < 2 for stream in cut.values()):
+            part_streams = cut_to(streams, begin, end)
+            is_within_recording = end <= max(float(stream.time[-1]) for stream in streams.values()) * (1 + 1e-9) + 1e-9
+        if not is_within_recording or any(len(stream.time) < 2 for stream in part_streams.values()):
             rows = ", ".join(f"{n} {len(s.time)} rows, {s.time[-1]:.6g} s" for n, s in streams.items())
             faults.append(document.fault(("parts", index), f"{path}: reaches beyond the recording ({rows})"))
         else:
-            runs.append((part.suffix, from_zero(cut)))
+            runs.append((part.suffix, from_zero(part_streams)))
     if faults:
         raise InputError(faults)
     return runs
@@ -52,8 +52,8 @@ def by_direction(path: Path, streams: Streams, settings: ByDirection, document: 
     stream = streams[name]
     runs: list[tuple[str, Streams]] = []
     counts = {"forward": 0, "reverse": 0}
-    for first, last, ahead in sweeps(stream.channel(channel), settings.least):
-        direction = "forward" if ahead else "reverse"
+    for first, last, is_forward in sweeps(stream.channel(channel), settings.least):
+        direction = "forward" if is_forward else "reverse"
         counts[direction] += 1
         suffix = direction if counts[direction] == 1 else f"{direction}-{counts[direction]}"
         end = stream.time[last - 1] + 0.5 * (stream.time[last - 1] - stream.time[last - 2])
@@ -64,34 +64,41 @@ def by_direction(path: Path, streams: Streams, settings: ByDirection, document: 
     return runs
 
 
-def sweeps(values: Array, least: float) -> list[tuple[int, int, bool]]:
-    """Find the stretches (first row, row after the last, ahead) between turning points that travel at least `least`.
+def sweeps(values: Array, least_travel: float) -> list[tuple[int, int, bool]]:
+    """Find the sweeps between turning points that travel at least `least_travel`.
 
-    A turning point is an extreme from which the channel then returns by `least`; jitter around a value is no turn.
+    A turning point is an extreme from which the channel then returns by `least_travel`; jitter around a value is none.
+
+    Returns
+    -------
+    For each sweep: first row, row after the last, and whether the channel rises.
     """
-    turns: list[tuple[int, bool]] = []  # extreme, whether it ends a way ahead
+    turning_points: list[tuple[int, bool]] = []  # row of the extreme, and whether it is a maximum
     finite_rows = np.flatnonzero(np.isfinite(values))
     low = high = int(finite_rows[0])
-    ahead: bool | None = None
+    is_forward: bool | None = None
     for index in finite_rows.tolist():
         if values[index] > values[high]:
             high = index
         if values[index] < values[low]:
             low = index
-        if ahead is not False and values[high] - values[index] >= least:
-            turns.append((high, True))
-            ahead, low = False, index
+        if is_forward is not False and values[high] - values[index] >= least_travel:
+            turning_points.append((high, True))
+            is_forward, low = False, index
             high = index
-        elif ahead is not True and values[index] - values[low] >= least:
-            turns.append((low, False))
-            ahead, high = True, index
+        elif is_forward is not True and values[index] - values[low] >= least_travel:
+            turning_points.append((low, False))
+            is_forward, high = True, index
             low = index
-    if ahead is None:
+    if is_forward is None:
         return []
-    ends = [*turns, ((high if ahead else low), ahead)]
-    starts = [ends[0][0], *(turn + 1 for turn, _ in ends[1:-1])]  # a turning point ends its sweep and begins none
+    ends = [*turning_points, ((high if is_forward else low), is_forward)]
+    starts = [
+        ends[0][0],
+        *(turning_point + 1 for turning_point, _ in ends[1:-1]),
+    ]  # a turning point ends its sweep and begins none
     stretches = [(first, last + 1, up) for first, (last, up) in zip(starts, ends[1:], strict=True)]
-    return [(first, last, up) for first, last, up in stretches if travel(values[first:last]) >= least]
+    return [(first, last, up) for first, last, up in stretches if travel(values[first:last]) >= least_travel]
 
 
 def travel(values: Array) -> float:

@@ -1,4 +1,4 @@
-"""Preview of an import: each run that would be written, with its streams, ranges of channels and steps."""
+"""Show an import before it is written: each run with its streams, ranges of channels and steps."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -33,10 +33,10 @@ def stream_preview(stream: Stream) -> dict[str, Any]:
     """Return one stream as a JSON object."""
     channels = []
     for spec, values in zip(stream.specs, stream.values, strict=True):
-        known = values[np.isfinite(values)]
-        low, high = (float(known.min()), float(known.max())) if len(known) else (None, None)
-        about = {"name": spec.name, "quantity": spec.quantity, "role": spec.role, "units": spec.unit}
-        channels.append(about | {"low": low, "high": high, "missing": len(values) - len(known)})
+        finite_values = values[np.isfinite(values)]
+        low, high = (float(finite_values.min()), float(finite_values.max())) if len(finite_values) else (None, None)
+        description = {"name": spec.name, "quantity": spec.quantity, "role": spec.role, "units": spec.unit}
+        channels.append(description | {"low": low, "high": high, "missing": len(values) - len(finite_values)})
     return {
         "rows": len(stream.time),
         "start_s": float(stream.time[0]),

@@ -44,14 +44,16 @@ def steps_of(streams: dict[str, Stream], mapping: Mapping, document: Document, s
 
 def by_instants(mapping: Mapping, end: float, document: Document, source: str) -> list[ImportedStep]:
     """Return the steps whose times the mapping states."""
-    faults, earliest = [], 0.0
+    faults, earliest_start = [], 0.0
     for index, step in enumerate(mapping.steps):
-        if not earliest <= step.start_s:
-            message = f"start_s {step.start_s:g}: after {earliest:g} s was expected, where the step before it ends"
+        if not earliest_start <= step.start_s:
+            message = (
+                f"start_s {step.start_s:g}: after {earliest_start:g} s was expected, where the step before it ends"
+            )
             faults.append(document.fault(("steps", index), message))
         if step.stop_s > end:
             faults.append(document.fault(("steps", index), f"{source}: stop_s {step.stop_s:g}; it ends at {end:.6g} s"))
-        earliest = step.stop_s
+        earliest_start = step.stop_s
     if faults:
         raise InputError(faults)
     return [ImportedStep(s.name, s.start_s, s.stop_s, s.settle_s, dict(s.parameters)) for s in mapping.steps]
@@ -94,8 +96,8 @@ def by_holds(streams: dict[str, Stream], settings: StepsByHolds, document: Docum
     is_setpoint = stream.spec(channel).quantity.endswith("_reference")
     try:
         holds = find_holds(stream.time, values, settings.least_s, settings.settle_s, is_setpoint)
-    except NotDistinct as why:
-        message = f"{source}: levels of {settings.channel} are not distinct from noise: {why}; a setpoint, steps or"
+    except NotDistinct as reason:
+        message = f"{source}: levels of {settings.channel} are not distinct from noise: {reason}; a setpoint, steps or"
         raise InputError(document.fault(("steps_by_holds", "channel"), f"{message} steps_by_column can tell")) from None
     steps = []
     for hold in holds:

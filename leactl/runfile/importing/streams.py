@@ -77,12 +77,13 @@ def build_streams(source: LogSource, mapping: Mapping, document: Document) -> di
             streams[name].aligned = alignment.describe() if alignment else ""
     begins = {name: float(s.time[0]) for name, s in streams.items()}
     ends = {name: float(s.time[-1]) for name, s in streams.items()}
-    late, early = max(begins, key=lambda n: begins[n]), min(ends, key=lambda n: ends[n])
-    if begins[late] > ends[early]:
+    last_to_begin, first_to_end = max(begins, key=lambda n: begins[n]), min(ends, key=lambda n: ends[n])
+    if begins[last_to_begin] > ends[first_to_end]:
         message = (
-            f"{source.path}: it begins at {begins[late]:.6g} s, after stream {early!r} has ended at {ends[early]:.6g} s"
+            f"{source.path}: it begins at {begins[last_to_begin]:.6g} s, after stream {first_to_end!r} has ended at"
+            f" {ends[first_to_end]:.6g} s"
         )
-        raise InputError(document.fault(("streams", late), f"{message}; set clock.offset_s or clock.estimate"))
+        raise InputError(document.fault(("streams", last_to_begin), f"{message}; set clock.offset_s or clock.estimate"))
     start = min(begins.values())
     for stream in streams.values():
         stream.time = stream.time - start
@@ -95,28 +96,28 @@ def build_stream(
     """Read one stream with the stamps of its source, and the labels of its rows if `label_settings` is given."""
     faults: list[str] = []
     specs, values, columns = [], [], []
-    for channel, mapped in settings.channels.items():
+    for channel, channel_settings in settings.channels.items():
         try:
-            spec, column = build_channel(source, name, channel, mapped, settings.records, document)
+            spec, column = build_channel(source, name, channel, channel_settings, settings.records, document)
         except InputError as error:
             faults += error.faults
             continue
         specs.append(spec)
         values.append(column)
-        columns.append(mapped.column)
+        columns.append(channel_settings.column)
     if faults:
         raise InputError(faults)
     lengths = {len(column) for column in values}
     if len(lengths) > 1:
         counts = ", ".join(f"{spec.name} {len(column)}" for spec, column in zip(specs, values, strict=True))
         raise InputError(document.fault(("streams", name), f"{source.path}: columns of different length: {counts}"))
-    time, keep = stamps(source, settings.time, settings.records, ("streams", name, "time"), lengths.pop(), document)
+    time, is_kept = stamps(source, settings.time, settings.records, ("streams", name, "time"), lengths.pop(), document)
     labels = (
-        labels_of(source, label_settings, settings.records, time, keep, document)
+        labels_of(source, label_settings, settings.records, time, is_kept, document)
         if label_settings is not None
         else None
     )
-    return Stream(time[keep], specs, [column[keep] for column in values], labels=labels)
+    return Stream(time[is_kept], specs, [column[is_kept] for column in values], labels=labels)
 
 
 def labels_of(
@@ -124,64 +125,77 @@ def labels_of(
     label_settings: StepsByColumn,
     records: str | None,
     time: Array,
-    keep: npt.NDArray[np.bool_],
+    is_row_kept: npt.NDArray[np.bool_],
     document: Document,
 ) -> list[str]:
-    """Return the label of each row that is kept: the label of the row, or the latest one if labels have own stamps.
+    """Return the label of each kept row: its own label, or the latest label if labels have stamps of their own.
 
-    `keep` is the mask of the rows that are kept. The label is empty before the first one.
+    `is_row_kept` is the mask of the kept rows. Rows before the first label have an empty label.
+
+    Raises
+    ------
+    InputError : the source has no such column, labels and rows differ in number, or a label has no stamp.
     """
     try:
         raw = source.labels(label_settings.column, None if label_settings.time else records)
     except MissingColumn as lacking:
         raise InputError(document.fault(("steps_by_column", "column"), str(lacking))) from None
     if label_settings.time is None:
-        if len(raw) != len(keep):
-            message = f"{source.path}: {len(raw)} labels for {len(keep)} rows"
+        if len(raw) != len(is_row_kept):
+            message = f"{source.path}: {len(raw)} labels for {len(is_row_kept)} rows"
             hint = "; give steps_by_column.time where labels have stamps of their own"
             raise InputError(document.fault(("steps_by_column", "column"), message + hint))
-        return [label for label, is_kept in zip(raw, keep, strict=True) if is_kept]
-    since, keep_label = stamps(source, label_settings.time, None, ("steps_by_column", "time"), len(raw), document)
-    in_force = ["", *(label for label, is_kept in zip(raw, keep_label, strict=True) if is_kept)]
-    return [in_force[row] for row in np.searchsorted(since[keep_label], time[keep], side="right")]
+        return [label for label, is_kept in zip(raw, is_row_kept, strict=True) if is_kept]
+    label_stamps, is_label_kept = stamps(
+        source, label_settings.time, None, ("steps_by_column", "time"), len(raw), document
+    )
+    labels_by_count = ["", *(label for label, is_kept in zip(raw, is_label_kept, strict=True) if is_kept)]
+    return [
+        labels_by_count[row] for row in np.searchsorted(label_stamps[is_label_kept], time[is_row_kept], side="right")
+    ]
 
 
 def build_channel(
-    source: LogSource, stream: str, name: str, mapped: ChannelMapping, records: str | None, document: Document
+    source: LogSource, stream: str, name: str, settings: ChannelMapping, records: str | None, document: Document
 ) -> tuple[ChannelSpec, Array]:
-    """Read one channel in the units of its quantity."""
+    """Read one channel in the units of its quantity.
+
+    Raises
+    ------
+    InputError : no such column, values that are texts or infinite, or no finite value.
+    """
     keys = ("streams", stream, "channels", name)
     try:
-        raw = source.column(mapped.column, records)
+        column = source.column(settings.column, records)
     except MissingColumn as lacking:
         raise InputError(document.fault((*keys, "column"), str(lacking))) from None
-    if isinstance(raw, list):
-        raise InputError(f"{source.place(mapped.column, 0)}: {raw[0]!r} is not a number")
-    scale = number_value(source, mapped.scale, (*keys, "scale"), document)
-    offset = number_value(source, mapped.offset, (*keys, "offset"), document)
-    conversion = converter(mapped.units or "", mapped.quantity)
+    if isinstance(column, list):
+        raise InputError(f"{source.place(settings.column, 0)}: {column[0]!r} is not a number")
+    scale = number_value(source, settings.scale, (*keys, "scale"), document)
+    offset = number_value(source, settings.offset, (*keys, "offset"), document)
+    conversion = converter(settings.units or "", settings.quantity)
     units = conversion.target if conversion else ""
-    values = mapped.sign * (scale * raw + offset)
+    values = settings.sign * (scale * column + offset)
     if conversion:
         values = conversion.factor * (values - conversion.zero)
-    infinite = np.flatnonzero(np.isinf(values))
-    if len(infinite):
+    infinite_rows = np.flatnonzero(np.isinf(values))
+    if len(infinite_rows):
         raise InputError(
-            [f"{source.place(mapped.column, int(infinite[0]))}: infinite; a missed sample is NaN or empty"]
+            [f"{source.place(settings.column, int(infinite_rows[0]))}: infinite; a missed sample is NaN or empty"]
         )
     if not np.isfinite(values).any():
-        raise InputError(f"{source.path}: column {mapped.column!r} holds no number at all")
+        raise InputError(f"{source.path}: column {settings.column!r} holds no number at all")
     spec = ChannelSpec(
         name=name,
-        quantity=mapped.quantity,
-        role=mapped.role,
-        device=mapped.device or source.path.name,
-        long_name=mapped.long_name,
-        location=mapped.location,
-        sampling=mapped.sampling or "",
+        quantity=settings.quantity,
+        role=settings.role,
+        device=settings.device or source.path.name,
+        long_name=settings.long_name,
+        location=settings.location,
+        sampling=settings.sampling or "",
         units=units if units in LINEAR else "",
         dtype="f8",
-        scale_std=mapped.scale_std,
+        scale_std=settings.scale_std,
     )
     return spec, np.asarray(values, np.float64)
 
@@ -224,37 +238,45 @@ def stamps(
     if len(raw) != rows:
         raise InputError(document.fault((*keys, "column"), f"{len(raw)} stamps for {rows} rows"))
     time = seconds(source, base, raw)
-    missing = np.flatnonzero(~np.isfinite(time))
-    if len(missing):
-        raise InputError(f"{source.place(base.column, int(missing[0]))}: no stamp; {len(missing)} rows have none")
-    keep = np.concatenate([[True], np.diff(time) != 0]) if base.repeated == "drop" else all_rows
-    kept_rows = np.flatnonzero(keep)
-    wrong = np.flatnonzero(np.diff(time[kept_rows]) <= 0)
-    if len(wrong):
-        row = int(kept_rows[wrong[0] + 1])
-        before, here = time[kept_rows[wrong[0]]], time[row]
-        finding = "stands twice" if here == before else f"goes back from {before:.9g} s"
-        hint = "; time.repeated: drop leaves the later rows out" if here == before else ""
-        more = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
-        raise InputError(f"{source.place(base.column, row)}: stamp {here:.9g} s {finding}{more}{hint}")
-    return time, keep
+    rows_without_stamp = np.flatnonzero(~np.isfinite(time))
+    if len(rows_without_stamp):
+        raise InputError(
+            f"{source.place(base.column, int(rows_without_stamp[0]))}: no stamp;"
+            f" {len(rows_without_stamp)} rows have none"
+        )
+    is_kept = np.concatenate([[True], np.diff(time) != 0]) if base.repeated == "drop" else all_rows
+    kept_rows = np.flatnonzero(is_kept)
+    wrong_positions = np.flatnonzero(np.diff(time[kept_rows]) <= 0)
+    if len(wrong_positions):
+        row = int(kept_rows[wrong_positions[0] + 1])
+        previous, stamp = time[kept_rows[wrong_positions[0]]], time[row]
+        finding = "stands twice" if stamp == previous else f"goes back from {previous:.9g} s"
+        hint = "; time.repeated: drop leaves the later rows out" if stamp == previous else ""
+        count_text = f" ({len(wrong_positions)} such rows)" if len(wrong_positions) > 1 else ""
+        raise InputError(f"{source.place(base.column, row)}: stamp {stamp:.9g} s {finding}{count_text}{hint}")
+    return time, is_kept
 
 
 def seconds(source: LogSource, base: TimeBase, raw: Array | list[str]) -> Array:
-    """Convert stamps to seconds."""
+    """Convert stamps to seconds.
+
+    Raises
+    ------
+    InputError : a stamp is neither a number nor, for `iso8601`, an ISO 8601 moment.
+    """
     assert base.column is not None
     if base.units != "iso8601":
         if isinstance(raw, list):
             raise InputError(f"{source.place(base.column, 0)}: {raw[0]!r} is not a number; time.units may be iso8601")
         return raw * SECONDS[base.units]
-    out = np.empty(len(raw))
+    stamps_s = np.empty(len(raw))
     for row, text in enumerate(raw):
         try:
             moment = datetime.fromisoformat(str(text))
         except ValueError:
             raise InputError(f"{source.place(base.column, row)}: {text!r} is no ISO 8601 date and time") from None
-        out[row] = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-    return out
+        stamps_s[row] = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    return stamps_s
 
 
 def alignment_of(

@@ -57,14 +57,14 @@ class ProposedChannel:
     column: str | int
     quantity: str
     role: str
-    units: tuple[str, ...]  # a single unit once it is decided, else the likely ones
-    why: list[str]
+    units: tuple[str, ...]  # a single unit once it is decided, else the likely units
+    why: list[str]  # reasons for quantity, role and units
     scale: float | None = None
-    scale_of: str = ""
+    scale_of: str = ""  # description of a scale that a person has to give; empty if none is needed
     sign: int = 1
     location: str = ""
     declared: dict[str, str] = field(default_factory=dict)  # device and sampling, by the file
-    is_settled: bool = False  # True: answered by a person, or left to one; numbers decide nothing more
+    is_settled: bool = False  # whether a person has answered or has to answer, so that values decide nothing more
     values: list[Array] = field(default_factory=list)
 
     def decide(self, units: str, why: str) -> None:
@@ -85,7 +85,7 @@ class ProposedStream:
     channels: dict[str, ProposedChannel]
     left_out: dict[str | int, str]  # columns that are no channel, and why
     stamps: list[Array]  # of each surveyed joint, in the units of the file
-    rate_Hz: float = 0.0  # of samples without stamps, 0 if unknown  # noqa: N815 (a unit keeps its letter)
+    rate_Hz: float = 0.0  # of samples without stamps; 0 if unknown  # noqa: N815 (a unit keeps its letter)
 
 
 def streams_of(surveyed: Survey, answers: Answers) -> list[ProposedStream]:
@@ -109,9 +109,9 @@ def stream_of(surveyed: SurveyedTable, names: frozenset[str], used_names: set[st
 
     Parameters
     ----------
-    seen : the table with its values.
+    surveyed : the table with its values.
     names : names of all columns of the log.
-    taken : names of streams in use.
+    used_names : names of the streams proposed before.
     """
     table, dialect = surveyed.table, surveyed.dialect
     time, time_units, time_why = time_of(surveyed)
@@ -167,8 +167,8 @@ def channel_by_units(
         if not documented.quantity:
             return f"{dialect.meaning} has it, and it is no channel of a run"
         role = meaning_of(name).role or "test"
-        why = f"{' or '.join(documented.units)} by {dialect.meaning}"
-        channel = ProposedChannel(column.name, documented.quantity, role, documented.units, [why])
+        reason = f"{' or '.join(documented.units)} by {dialect.meaning}"
+        channel = ProposedChannel(column.name, documented.quantity, role, documented.units, [reason])
         channel.scale, channel.scale_of, channel.sign = documented.scale, documented.scale_of, documented.sign
         channel.location = documented.location
         return channel
@@ -212,8 +212,8 @@ def time_of(surveyed: SurveyedTable) -> tuple[ListedColumn | None, tuple[str, ..
             return column, (units,), f"{units} stands {where}"
     if columns:
         column, values = columns[0]
-        likely, why = units_of_time(values)
-        return column, tuple(likely), why
+        likely_units, reason = units_of_time(values)
+        return column, tuple(likely_units), reason
     return None, (), "no column that increases has a name for stamps"
 
 
@@ -253,10 +253,14 @@ def decide_by_numbers(streams: list[ProposedStream]) -> None:
     for _, channel in channels:
         if channel.values and not channel.is_settled:
             decide_by_range(channel)
-    timed = [(stream, channel) for stream, channel in channels if stream.stamps and len(stream.time_units) == 1]
-    pairs = [(first, second) for first in timed for second in timed if are_of_one_shaft(first, second)]
+    stamped_channels = [
+        (stream, channel) for stream, channel in channels if stream.stamps and len(stream.time_units) == 1
+    ]
+    pairs = [
+        (first, second) for first in stamped_channels for second in stamped_channels if are_of_one_shaft(first, second)
+    ]
     while True:
-        before = [channel.units for _, channel in timed]
+        units_before = [channel.units for _, channel in stamped_channels]
         for (stream, channel), (other_stream, other_channel) in pairs:
             if (channel.quantity, other_channel.quantity) == ("velocity", "angle"):
                 decide_by_travel(
@@ -267,8 +271,8 @@ def decide_by_numbers(streams: list[ProposedStream]) -> None:
                     channel, series_of(stream, channel), other_channel, series_of(other_stream, other_channel)
                 )
             elif (channel.quantity, other_channel.quantity) == ("torque", "angle"):
-                decide_by_kind(channel, other_channel)
-        if [channel.units for _, channel in timed] == before:
+                decide_by_axis_kind(channel, other_channel)
+        if [channel.units for _, channel in stamped_channels] == units_before:
             break
     for _, channel in channels:
         if len(channel.units) > 1 and channel.quantity.startswith("angle") and are_counts(channel.values):
@@ -281,13 +285,13 @@ def decide_by_numbers(streams: list[ProposedStream]) -> None:
 
 def decide_by_range(channel: ProposedChannel) -> None:
     """Decide a unit by range and jumps of the values; if they contradict the name, leave it to a person."""
-    units, why = units_by_range(channel.quantity, np.concatenate(channel.values))
+    units, reason = units_by_range(channel.quantity, np.concatenate(channel.values))
     agrees_with_name = is_same_unit(units, channel.units, channel.quantity)
     if units and agrees_with_name and len(channel.units) > 1:
-        channel.decide(units, f"{units} by {why}")
+        channel.decide(units, f"{units} by {reason}")
     elif units and not agrees_with_name and (len(channel.units) > 1 or channel.quantity.startswith("angle")):
         channel.units, channel.is_settled = (units, *channel.units), True
-        channel.why.append(f"yet {why}")
+        channel.why.append(f"yet {reason}")
 
 
 def are_of_one_shaft(
@@ -322,45 +326,45 @@ def decide_by_travel(
     gains = [gain for gain in (gain_of(*angle_and_velocity) for angle_and_velocity in by_joint) if gain]
     if not gains:
         return
-    best = min(gains, key=lambda gain: gain.std / abs(gain.value))
-    gain = abs(best.value) * (velocity.scale or 1.0) / (angle.scale or 1.0)
-    factor = f"{velocity.column} is {gain:.4g} times the change of {angle.column}"
+    most_precise = min(gains, key=lambda gain: gain.std / abs(gain.value))
+    gain = abs(most_precise.value) * (velocity.scale or 1.0) / (angle.scale or 1.0)
+    finding = f"{velocity.column} is {gain:.4g} times the change of {angle.column}"
     is_one = abs(gain - 1.0) <= UNIT_GAIN_TOLERANCE
     pairs = unit_pairs_with_gain(gain, UNIT_GAIN_TOLERANCE if is_one else PAIR_GAIN_TOLERANCE)
-    fitting = [
+    fitting_pairs = [
         pair
         for pair in pairs
         if is_same_unit(pair[0], angle.units, "angle") and is_same_unit(pair[1], velocity.units, "velocity")
     ]
-    decided = [len(channel.units) == 1 for channel in (angle, velocity)]
-    if all(decided):
+    are_decided = [len(channel.units) == 1 for channel in (angle, velocity)]
+    if all(are_decided):
         pairs_of_angle = [pair for pair in pairs if is_same_unit(pair[0], angle.units, "angle")]
-        if not fitting and pairs_of_angle and not is_gear(gain):  # the unit of one channel is wrong
+        if not fitting_pairs and pairs_of_angle and not is_gear(gain):  # the unit of one channel is wrong
             velocity.units, velocity.is_settled = (pairs_of_angle[0][1], *velocity.units), True
-            velocity.why.append(f"yet {factor}, as {pairs_of_angle[0][1]} would be")
+            velocity.why.append(f"yet {finding}, as {pairs_of_angle[0][1]} would be")
         pairs_of_velocity = [pair for pair in pairs if is_same_unit(pair[1], velocity.units, "velocity")]
-        if not fitting and pairs_of_velocity and not is_gear(gain) and not angle.is_settled:
+        if not fitting_pairs and pairs_of_velocity and not is_gear(gain) and not angle.is_settled:
             angle.units, angle.is_settled = (pairs_of_velocity[0][0], *angle.units), True
-            angle.why.append(f"yet {factor}, as it would be in {pairs_of_velocity[0][0]}")
+            angle.why.append(f"yet {finding}, as it would be in {pairs_of_velocity[0][0]}")
         return
-    alone = len({pair[0] for pair in fitting}) == 1 and len({pair[1] for pair in fitting}) == 1
-    if alone and is_one and any(decided):
-        for channel, units in zip((angle, velocity), fitting[0], strict=True):
+    is_unique = len({pair[0] for pair in fitting_pairs}) == 1 and len({pair[1] for pair in fitting_pairs}) == 1
+    if is_unique and is_one and any(are_decided):
+        for channel, units in zip((angle, velocity), fitting_pairs[0], strict=True):
             if len(channel.units) > 1 and not channel.is_settled and units not in UNITS_LIKE_A_GEAR:
-                channel.decide(units, f"{units}: {factor}")
-    by_gain = [pair[1] for pair in pairs if is_same_unit(pair[0], angle.units, "angle")]
-    if not fitting and decided[0]:
-        velocity.units = tuple(dict.fromkeys((*by_gain, *velocity.units)))
-    for channel, at in ((angle, 0), (velocity, 1)):
-        fit = tuple(pair[at] for pair in fitting)
-        likely = [units for units in channel.units if is_same_unit(units, fit, channel.quantity)]
+                channel.decide(units, f"{units}: {finding}")
+    velocity_units = [pair[1] for pair in pairs if is_same_unit(pair[0], angle.units, "angle")]
+    if not fitting_pairs and are_decided[0]:
+        velocity.units = tuple(dict.fromkeys((*velocity_units, *velocity.units)))
+    for channel, index in ((angle, 0), (velocity, 1)):
+        fitting_units = tuple(pair[index] for pair in fitting_pairs)
+        likely_units = [units for units in channel.units if is_same_unit(units, fitting_units, channel.quantity)]
         if len(channel.units) > 1:
-            channel.units = (*likely, *(units for units in channel.units if units not in likely))
-            channel.why += [factor] if factor not in channel.why else []
+            channel.units = (*likely_units, *(units for units in channel.units if units not in likely_units))
+            channel.why += [finding] if finding not in channel.why else []
 
 
 def is_same_unit(units: str, candidates: tuple[str, ...], quantity: str) -> bool:
-    """Return whether a unit is equivalent to one of `among`, for a quantity."""
+    """Return whether a unit is equivalent to one of the candidates, for a quantity."""
     return any(converter(units, quantity) == converter(other_units, quantity) for other_units in candidates)
 
 
@@ -375,11 +379,11 @@ def decide_by_setpoint(
     if len(decided.units) != 1 or len(undecided.units) == 1 or decided.units[0] not in undecided.units:
         return
     by_joint = zip(reading_series, setpoint_series, strict=False)
-    if any(equals_setpoint(measured, wanted, reading.quantity) for measured, wanted in by_joint):
+    if any(equals_setpoint(measured, setpoint_values, reading.quantity) for measured, setpoint_values in by_joint):
         undecided.decide(decided.units[0], f"{decided.units[0]}: {reading.column} follows {setpoint.column} one to one")
 
 
-def decide_by_kind(torque: ProposedChannel, angle: ProposedChannel) -> None:
+def decide_by_axis_kind(torque: ProposedChannel, angle: ProposedChannel) -> None:
     """Decide between torque and force if the unit of the angle shows a rotary or a linear axis."""
     conversion = converter(angle.units[0], "angle")
     if set(torque.units) == {"N*m", "N"} and len(angle.units) == 1 and conversion is not None:

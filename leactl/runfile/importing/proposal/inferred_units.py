@@ -28,7 +28,7 @@ GEAR_TOLERANCE: Final = 0.003  # relative, of a gain to a whole number, which ma
 LARGEST_GAIN_ERROR: Final = 0.001  # relative standard error of a gain that decides
 LEAST_EXPLAINED: Final = 0.95  # share of a velocity that the angle's change has to explain
 SETPOINT_TOLERANCE: Final = 0.05  # relative, of a reading to its setpoint
-FEWEST_JUMPS: Final = 2
+FEWEST_JUMPS: Final = 2  # of an angle, by which it counts as wrapped
 AMPERES: Final = (0.05, 5.0)  # largest current of a log in A; no actuator moves with such a current in mA
 VOLTS: Final = (0.5, 60.0)  # largest voltage of a log in V; windings have more mV, and rigs of more V are asked for
 SHORTEST_ROW_INTERVAL_S, LONGEST_ROW_INTERVAL_S = 2e-5, 10.0  # of logs
@@ -38,23 +38,23 @@ INDOORS_DEGC: Final = (5.0, 45.0)  # range of a log's coldest reading; the same 
 
 
 class AngleWrap(NamedTuple):
-    """The unit of a wrapped angle, by the size of its jumps."""
+    """Wrap of an angle: the size of its jumps, and the unit in which that is a turn."""
 
     units: str
-    period: float
-    jumps: int
+    period: float  # size of a jump, in the unit of the column
+    jumps: int  # number of jumps
 
 
 def find_wrap(values: Array) -> AngleWrap | None:
     """Find the unit of a wrapped angle; None if it does not wrap, or its jumps are not a turn in any unit."""
-    known = values[np.isfinite(values)]
-    if len(known) < FEWEST_JUMPS + 1:
+    finite_values = values[np.isfinite(values)]
+    if len(finite_values) < FEWEST_JUMPS + 1:
         return None
-    reach = float(np.ptp(known))
-    steps = np.abs(np.diff(known))
+    value_range = float(np.ptp(finite_values))
+    steps = np.abs(np.diff(finite_values))
     for period, units in TURNS.items():
         jumps = int((steps > 0.8 * period).sum())
-        if 0.9 * period <= reach <= 1.001 * period and jumps >= FEWEST_JUMPS and jumps < 0.2 * len(steps):
+        if 0.9 * period <= value_range <= 1.001 * period and jumps >= FEWEST_JUMPS and jumps < 0.2 * len(steps):
             return AngleWrap(units, period, jumps)
     return None
 
@@ -73,10 +73,10 @@ class ColumnSeries(NamedTuple):
 
 def gain_of(angle: ColumnSeries, velocity: ColumnSeries) -> Gain | None:
     """Return the ratio of a velocity to the rate of change of its angle, in the file's units, or None if imprecise."""
-    wrapped, known_angle, known_velocity = find_wrap(angle.values), angle.known(), velocity.known()
+    wrap, known_angle, known_velocity = find_wrap(angle.values), angle.known(), velocity.known()
     if min(len(known_angle.time), len(known_velocity.time)) < 2:
         return None
-    unwrapped = np.unwrap(known_angle.values, period=wrapped.period) if wrapped else known_angle.values
+    unwrapped = np.unwrap(known_angle.values, period=wrap.period) if wrap else known_angle.values
     gain = gain_by_travel(
         MappedColumn("", *known_velocity, "", ""), MappedColumn("", known_angle.time, unwrapped, "", "")
     )
@@ -101,29 +101,29 @@ def unit_pairs_with_gain(gain: float, tolerance: float) -> list[tuple[str, str]]
 
 def is_gear(gain: float) -> bool:
     """Return whether a ratio or its inverse is near a whole number, as that of a gear."""
-    size = max(abs(gain), 1.0 / abs(gain))
-    return abs(size / round(size) - 1.0) <= GEAR_TOLERANCE
+    ratio = max(abs(gain), 1.0 / abs(gain))
+    return abs(ratio / round(ratio) - 1.0) <= GEAR_TOLERANCE
 
 
 def equals_setpoint(measured: ColumnSeries, setpoint: ColumnSeries, quantity: str) -> bool:
     """Return whether a reading equals its setpoint within `SETPOINT_TOLERANCE`, as in a common unit."""
-    reading, wanted = measured.known(), setpoint.known()
-    if min(len(reading.time), len(wanted.time)) < 2:
+    reading, setpoint_values = measured.known(), setpoint.known()
+    if min(len(reading.time), len(setpoint_values.time)) < 2:
         return False
-    gain = gain_by_setpoint(MappedColumn("", *reading, "", ""), MappedColumn("", *wanted, "", ""), quantity)
+    gain = gain_by_setpoint(MappedColumn("", *reading, "", ""), MappedColumn("", *setpoint_values, "", ""), quantity)
     return gain is not None and gain.explained >= LEAST_EXPLAINED and abs(gain.value - 1.0) <= SETPOINT_TOLERANCE
 
 
-def units_of_time(stamps: Array, known: Sequence[str] = tuple(EPOCHS)) -> tuple[list[str], str]:
-    """Return the possible units of stamps among `known`, and the reason."""
-    middle = float(np.median(stamps))
+def units_of_time(stamps: Array, candidates: Sequence[str] = tuple(EPOCHS)) -> tuple[list[str], str]:
+    """Return the candidates that may be the unit of stamps, and the reason."""
+    median_stamp = float(np.median(stamps))
     for units, epoch in EPOCHS.items():
-        if epoch <= middle <= 2.2 * epoch:
-            return [units], f"about {middle:.4g} is a date of these years in {units}"
+        if epoch <= median_stamp <= 2.2 * epoch:
+            return [units], f"about {median_stamp:.4g} is a date of these years in {units}"
     interval = float(np.median(np.diff(stamps))) if len(stamps) > 1 else math.nan
     shortest, longest = SHORTEST_ROW_INTERVAL_S, LONGEST_ROW_INTERVAL_S
-    likely = [units for units in known if shortest <= interval * SECONDS[units] <= longest]
-    return likely, f"{interval:.4g} from row to row"
+    likely_units = [units for units in candidates if shortest <= interval * SECONDS[units] <= longest]
+    return likely_units, f"{interval:.4g} from row to row"
 
 
 def is_wide_for_rad(values: Array) -> bool:
@@ -134,25 +134,27 @@ def is_wide_for_rad(values: Array) -> bool:
 
 def are_counts(columns: Sequence[Array]) -> bool:
     """Return whether an angle consists of encoder counts: whole numbers beyond `MOST_DEGREES`."""
-    known = np.concatenate([values[np.isfinite(values)] for values in columns])
-    return bool((known == np.round(known)).all()) and float(np.abs(known).max()) > MOST_DEGREES
+    finite_values = np.concatenate([values[np.isfinite(values)] for values in columns])
+    return bool((finite_values == np.round(finite_values)).all()) and float(np.abs(finite_values).max()) > MOST_DEGREES
 
 
 def units_by_range(quantity: str, values: Array) -> tuple[str, str]:
     """Return the only unit that fits the range of a column, and the reason; empty if several units fit."""
-    known = values[np.isfinite(values)]
-    if not len(known):
+    finite_values = values[np.isfinite(values)]
+    if not len(finite_values):
         return "", ""
-    low, high, middle = float(known.min()), float(known.max()), float(np.median(known))
+    low, high, middle = float(finite_values.min()), float(finite_values.max()), float(np.median(finite_values))
     range_text = f"its range {low:.4g} .. {high:.4g}"
-    if quantity == "drive_enabled" and set(np.unique(known).tolist()) <= {0.0, 1.0}:
+    if quantity == "drive_enabled" and set(np.unique(finite_values).tolist()) <= {0.0, 1.0}:
         return "1", f"{range_text}, 0 and 1 alone"
-    are_whole = bool((known == np.round(known)).all())  # whole numbers may be scaled, such as tenths of a volt
+    are_whole = bool(
+        (finite_values == np.round(finite_values)).all()
+    )  # whole numbers may be scaled, such as tenths of a volt
     if quantity == "bus_voltage" and not are_whole:
-        small, large = VOLTS_OF_A_BUS
-        if small <= middle <= large:
+        lowest, highest = VOLTS_OF_A_BUS
+        if lowest <= middle <= highest:
             return "V", f"{range_text}; no bus has so few millivolts"
-        if small * 1e3 <= middle <= large * 1e3:
+        if lowest * 1e3 <= middle <= highest * 1e3:
             return "mV", f"{range_text}; no bus has so many volts"
     largest = max(-low, high)
     if "current" in quantity and not are_whole and AMPERES[0] <= largest <= AMPERES[1]:
@@ -165,6 +167,6 @@ def units_by_range(quantity: str, values: Array) -> tuple[str, str]:
             return "degC", f"{range_text}; in degF it would begin at {factor * (low - zero):.3g} degC"
         if low > 250.0 and high < 600.0:
             return "K", f"{range_text}; no log begins so hot in degC or degF"
-    if quantity.startswith("angle") and (wrapped := find_wrap(values)):
-        return wrapped.units, f"{wrapped.jumps} jumps by {wrapped.period:.4g}, a turn in {wrapped.units}"
+    if quantity.startswith("angle") and (wrap := find_wrap(values)):
+        return wrap.units, f"{wrap.jumps} jumps by {wrap.period:.4g}, a turn in {wrap.units}"
     return "", ""

@@ -1,4 +1,4 @@
-"""Documented log formats of known programs: quantity and unit of each column, one file of `dialects/` per program."""
+"""Read the documented log formats of known programs: quantity and unit of each column, one file in `dialects/` each."""
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
@@ -73,9 +73,11 @@ def dialect_of(table: ListedTable) -> LogDialect | None:
 
 
 def csv_forms(declared: str = "") -> Sequence[CsvForm]:
-    """Return the CSV forms to try on a table of text: those of the dialects, then the usual delimiters.
+    """Return the CSV forms to try on a table of text: those of the dialects, then those with the usual delimiters.
 
-    declared : delimiter that the first line of the text declares by `sep=`; the header is below it.
+    Parameters
+    ----------
+    declared : delimiter that the first line of the text declares by `sep=`, with the header below it; empty if none.
     """
     if declared:
         return [

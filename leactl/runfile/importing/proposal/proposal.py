@@ -79,12 +79,14 @@ def questions_of(streams: list[ProposedStream], answers: Answers) -> list[OpenQu
             questions.append(OpenQuestion((*key, "units"), one_line(text), stream.time_units or tuple(SECONDS)))
         for name, channel in stream.channels.items():
             key = ("streams", stream.name, "channels", name)
-            about = f"stream {stream.name}, {channel.column!r} ({channel.quantity})"
+            channel_text = f"stream {stream.name}, {channel.column!r} ({channel.quantity})"
             if len(channel.units) != 1:
-                text = one_line(f"{about}: {'; '.join(channel.why)}")
+                text = one_line(f"{channel_text}: {'; '.join(channel.why)}")
                 questions.append(OpenQuestion((*key, "units"), text, channel.units, channel.quantity))
             if channel.scale_of:
-                questions.append(OpenQuestion((*key, "scale"), one_line(f"{about}: scale is {channel.scale_of}"), ()))
+                questions.append(
+                    OpenQuestion((*key, "scale"), one_line(f"{channel_text}: scale is {channel.scale_of}"), ())
+                )
     return questions
 
 
@@ -101,8 +103,8 @@ def accepted_answer(question: OpenQuestion, text: str) -> str | None:
         return text if 0.0 < scale < math.inf else None
     if text.isdigit() and 1 <= int(text) <= len(question.choices):
         return question.choices[int(text) - 1]
-    known = known_units(question.quantity) if question.quantity else question.choices
-    return text if text in known else None
+    accepted = known_units(question.quantity) if question.quantity else question.choices
+    return text if text in accepted else None
 
 
 def mapping_text(surveyed: Survey, streams: list[ProposedStream], answers: Answers) -> str:
@@ -113,8 +115,8 @@ def mapping_text(surveyed: Survey, streams: list[ProposedStream], answers: Answe
     ]
     form = surveyed.csv.model_dump(exclude_defaults=True)
     if form:
-        written = (f"{key}: {value if isinstance(value, int) else quoted(value)}" for key, value in form.items())
-        lines.append(f"csv: {{{', '.join(written)}}}")
+        settings = (f"{key}: {value if isinstance(value, int) else quoted(value)}" for key, value in form.items())
+        lines.append(f"csv: {{{', '.join(settings)}}}")
     if run := [f"{name}: {stated(value)}" for table in surveyed.tables for name, value in table.table.run]:
         lines.append(f"run: {{{', '.join(run)}}}  # as the file declares")
     lines.append(f"mechanical: {answers.get(('mechanical',), UNDECIDED)}  # {', '.join(SETUPS)}")

@@ -45,7 +45,7 @@ def survey(path: Path) -> Survey:
 
     Raises
     ------
-    InputError : unreadable, or without a column of numbers.
+    InputError : the source cannot be read, or has no column of numbers.
     """
     name = format_of(path)
     form, tables = tables_of(path, name)
@@ -65,7 +65,7 @@ def survey(path: Path) -> Survey:
                 try:
                     values = source.column(*fill_joint(column.name, table.records, joint))
                 except MissingColumn:
-                    continue  # of this joint, or nowhere a number
+                    continue  # this joint lacks the column, or the column has no number
                 if table.time is not None and column.name == table.time.name and table.time.units == "iso8601":
                     values = seconds(source, TimeBase(column=column.name, units="iso8601"), values)
                 if not isinstance(values, list):

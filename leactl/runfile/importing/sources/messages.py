@@ -40,15 +40,14 @@ MOST_FIELD_LEVELS: Final = 8  # of nested fields that are listed
 MOST_SAMPLES: Final = 50  # messages of a topic from which its fields and joints are listed
 _KNOWN_FIELDS: dict[type[Any], tuple[str, ...]] = {}  # cache, since every message needs them
 NUMBERS = bool | int | float | np.number | np.bool_
-RESET_NS: Final = (
-    10**9
-)  # largest delay of a message in the recorder's buffers; a larger one is a clock that was set back
+# largest delay of a message in the recorder's buffers; a stamp that is earlier by more means a clock that was set back
+RESET_NS: Final = 10**9
 EARLIEST_NS: Final = 946_684_800 * 10**9  # 2000; clocks that start with their computer show less
 LATEST_NS: Final = 4_102_444_800 * 10**9  # 2100
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\[\]]+)\]")
 
 
-Names = list[str] | None
+Names = list[str] | None  # a message's list of names; None if it has none
 
 
 class Topic(NamedTuple):
@@ -57,7 +56,7 @@ class Topic(NamedTuple):
     name: str
     kind: str  # type of the messages
     unreadable: str = ""  # reason why the messages cannot be decoded
-    only: str = ""  # name of the only field, which paths may leave out
+    only: str = ""  # name of the field of a topic with a single field; paths may leave it out
     units: str = ""  # units of the only field, as the log declares
 
 
@@ -75,9 +74,8 @@ class OpenLog(NamedTuple):
 
     path: Path
     topics: dict[str, Topic]
-    messages: Callable[
-        [Collection[str]], Iterator[Message]
-    ]  # messages of given topics, in any order; raises InputError
+    # returns the messages of given topics, in any order; raises InputError
+    messages: Callable[[Collection[str]], Iterator[Message]]
 
 
 class ColumnPath(NamedTuple):
@@ -114,12 +112,12 @@ class MessageSource:
         path = self._path(WantedColumn(name, records))
         column = self._columns[path]
         if not column.rows:
-            raise MissingColumn(f"{self.path}: {self._nothing_of(path)}")
+            raise MissingColumn(f"{self.path}: {self._empty_column_text(path)}")
         if column.error:
             raise MissingColumn(column.error)
         order = column.order()
         if column.texts:
-            return [column.texts[at] for at in order]
+            return [column.texts[row] for row in order]
         return np.frombuffer(column.values, np.float64)[order]
 
     def labels(self, name: str | int, records: str | None) -> list[str]:
@@ -154,29 +152,31 @@ class MessageSource:
         by_topic: dict[str, list[tuple[ColumnPath, _CollectedColumn]]] = {}
         for path, column in self._columns.items():
             by_topic.setdefault(path.topic, []).append((path, column))
-        earliest: int | None = None
+        earliest_ns: int | None = None
         for message in self._log.messages(by_topic):
-            earliest = message.log_ns if earliest is None else min(earliest, message.log_ns)
+            earliest_ns = message.log_ns if earliest_ns is None else min(earliest_ns, message.log_ns)
             if self._first_ns is None:
                 self._first_ns = message.log_ns
             tree = self._decoded(message)
             names = _names(tree)
             self._counts[message.topic] += 1
             for path, column in by_topic[message.topic]:
-                self._put(column, path, message, tree, names)
-        if earliest is not None and EARLIEST_NS < earliest < LATEST_NS:
-            self.began = datetime.fromtimestamp(earliest * 1e-9, UTC)
+                self._put_value(column, path, message, tree, names)
+        if earliest_ns is not None and EARLIEST_NS < earliest_ns < LATEST_NS:
+            self.began = datetime.fromtimestamp(earliest_ns * 1e-9, UTC)
 
     def _decoded(self, message: Message) -> Any:
         try:
             return message.decode()
         except Exception as error:  # noqa: BLE001 (decoders raise any exception for damaged bytes)
-            at = self._counts[message.topic]
+            number = self._counts[message.topic]
             raise InputError(
-                f"{self.path}: {message.topic} message {at}: cannot be decoded: {reason_text(error)}"
+                f"{self.path}: {message.topic} message {number}: cannot be decoded: {reason_text(error)}"
             ) from None
 
-    def _put(self, column: "_CollectedColumn", path: ColumnPath, message: Message, tree: Any, names: Names) -> None:
+    def _put_value(
+        self, column: "_CollectedColumn", path: ColumnPath, message: Message, tree: Any, names: Names
+    ) -> None:
         if column.error:
             return
         try:
@@ -188,9 +188,9 @@ class MessageSource:
             else:
                 value = self._value(tree, path, message, names)
             column.put(value, message.log_ns)
-        except MissingColumn as lacking:
+        except MissingColumn as error:
             where = f"{self.path}: {message.topic} message {self._counts[message.topic] - 1}"
-            column.error, column.rows = f"{where} {lacking}", column.rows + 1
+            column.error, column.rows = f"{where} {error}", column.rows + 1
 
     def _value(self, tree: Any, path: ColumnPath, message: Message, names: Names) -> Any:
         assert self._first_ns is not None
@@ -199,11 +199,11 @@ class MessageSource:
         node, path_so_far = tree, ""
         for step in path.steps:
             is_list = not isinstance(node, str | dict) and isinstance(node, Sequence | np.ndarray)
-            below = _element(node, step, names) if is_list else _child(node, step)
-            if below is None:
+            child = _element(node, step, names) if is_list else _child(node, step)
+            if child is None:
                 fields = ", ".join(_fields(node)) or f"a value of {type(node).__name__}"
                 raise MissingColumn(f"has no {step!r} in {path_so_far or 'it'}, which has {fields}")
-            node, path_so_far = below, f"{path_so_far}.{step}".strip(".")
+            node, path_so_far = child, f"{path_so_far}.{step}".strip(".")
         stamp = _nanoseconds(node)
         return node if stamp is None else as_float(stamp - self._first_ns) * 1e-9
 
@@ -233,13 +233,13 @@ class MessageSource:
         return ColumnPath(topic, joint, steps)
 
     def _topic(self, text: str) -> str:
-        begins = [name for name in self._log.topics if text == name or text.startswith((f"{name}.", f"{name}["))]
-        if not begins:
-            has = ", ".join(sorted(self._log.topics)) or "none"
-            raise MissingColumn(f"{self.path}: no topic begins {text!r}; it has {has}")
-        return max(begins, key=len)
+        matches = [name for name in self._log.topics if text == name or text.startswith((f"{name}.", f"{name}["))]
+        if not matches:
+            topics_text = ", ".join(sorted(self._log.topics)) or "none"
+            raise MissingColumn(f"{self.path}: no topic begins {text!r}; it has {topics_text}")
+        return max(matches, key=len)
 
-    def _nothing_of(self, path: ColumnPath) -> str:
+    def _empty_column_text(self, path: ColumnPath) -> str:
         if path.joint is not None and self._counts[path.topic]:
             return f"no message of {path.topic} names {path.joint!r}"
         return f"topic {path.topic} has no message"
@@ -255,7 +255,12 @@ class _CollectedColumn:
         self._latest_ns, self._was_reset = 0, False
 
     def put(self, value: Any, log_ns: int) -> None:
-        """Add a row; NaN if a list has no such element."""
+        """Add a row; the value is NaN if a list has no such element.
+
+        Raises
+        ------
+        MissingColumn : the value is neither a number nor, like all values before it, a text.
+        """
         if isinstance(value, str) and self.rows == len(self.texts):
             self.texts.append(value)
         elif isinstance(value, NUMBERS) and not self.texts:
@@ -274,8 +279,8 @@ class _CollectedColumn:
 
 
 def _step(match: re.Match[str]) -> str | int:
-    inside = match[2]
-    return match[1] if inside is None else int(inside) if inside.isdigit() else inside
+    bracketed = match[2]
+    return match[1] if bracketed is None else int(bracketed) if bracketed.isdigit() else bracketed
 
 
 def _fields(node: Any) -> Sequence[str]:
@@ -358,29 +363,29 @@ def _tables(topic: Topic, samples: list[Any]) -> Iterator[ListedTable]:
     time = ListedColumn(
         "header.stamp" if has_stamp else "log_time", "s", "a stamp of ROS" if has_stamp else "the recorder"
     )
-    plain, by_joint = [], []
+    plain_columns, joint_columns = [], []
     for path, value in _leaves(tree, "", 0):
         if isinstance(value, Sequence | np.ndarray):
             if joints and len(value) == len(_names(tree) or ()):
-                by_joint.append(ListedColumn(path))
+                joint_columns.append(ListedColumn(path))
             elif not joints and len(value) <= MOST_ELEMENTS:
-                plain += [ListedColumn(f"{path}[{at}]") for at in range(len(value))]
+                plain_columns += [ListedColumn(f"{path}[{index}]") for index in range(len(value))]
         elif not path.startswith("header."):
-            plain.append(ListedColumn(path, topic.units, f"what {topic.name} declares" if topic.units else ""))
-    if by_joint:
-        yield ListedTable(f"{topic.name}[{{joint}}]", tuple(by_joint), topic.kind, time, tuple(joints))
-    if plain:
-        yield ListedTable(topic.name, tuple(plain), topic.kind, time)
+            plain_columns.append(ListedColumn(path, topic.units, f"what {topic.name} declares" if topic.units else ""))
+    if joint_columns:
+        yield ListedTable(f"{topic.name}[{{joint}}]", tuple(joint_columns), topic.kind, time, tuple(joints))
+    if plain_columns:
+        yield ListedTable(topic.name, tuple(plain_columns), topic.kind, time)
 
 
 def _leaves(node: Any, path: str, depth: int) -> Iterator[tuple[str, Any]]:
     """Yield the path and value of the numbers, stamps and lists of numbers in a message."""
     for name in _fields(node):
-        below, value = f"{path}.{name}" if path else name, _child(node, name)
+        field_path, value = f"{path}.{name}" if path else name, _child(node, name)
         if _nanoseconds(value) is not None or isinstance(value, NUMBERS | np.ndarray) or _are_numbers(value):
-            yield below, value
+            yield field_path, value
         elif depth < MOST_FIELD_LEVELS and _fields(value):
-            yield from _leaves(value, below, depth + 1)
+            yield from _leaves(value, field_path, depth + 1)
 
 
 def _are_numbers(value: Any) -> bool:

@@ -51,18 +51,20 @@ def load(name: str) -> Any:
     """
     if name in shipped():
         return importlib.import_module(f"{FORMATS_PACKAGE}.{name}")
-    point = foreign().get(name)
-    if point is None:
+    entry_point = foreign().get(name)
+    if entry_point is None:
         raise InputError(f"format '{name}' is not known; known: {', '.join(names())}")
-    source = f"{point.dist.name} {point.dist.version}" if point.dist else "unknown distribution"
+    source = f"{entry_point.dist.name} {entry_point.dist.version}" if entry_point.dist else "unknown distribution"
     try:
-        loaded = point.load()
+        log_format = entry_point.load()
     except Exception as error:  # noqa: BLE001 (a foreign plug-in may fail in any way; it must not take leactl with it)
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise InputError(f"format '{name}' of {source} cannot be used: {reason}") from None
-    if not callable(getattr(loaded, "open_source", None)) or not isinstance(getattr(loaded, "ENDINGS", None), tuple):
+    if not callable(getattr(log_format, "open_source", None)) or not isinstance(
+        getattr(log_format, "ENDINGS", None), tuple
+    ):
         raise InputError(f"format '{name}' of {source} cannot be used: it has no tuple ENDINGS or no open_source")
-    return loaded
+    return log_format
 
 
 def format_of(path: Path) -> str:
@@ -74,8 +76,8 @@ def format_of(path: Path) -> str:
     """
     if name := recognised(path):
         return name
-    for name, loaded in loadable().items():
-        if path.is_file() and path.name.lower().endswith(tuple(loaded.ENDINGS)):
+    for name, log_format in loadable().items():
+        if path.is_file() and path.name.lower().endswith(tuple(log_format.ENDINGS)):
             return name
     raise InputError(f"{path}: the ending does not tell its format; give `format:` as one of {', '.join(names())}")
 
@@ -87,9 +89,11 @@ def is_log(path: Path) -> bool:
 
 def recognised(path: Path) -> str:
     """Return the name of the first format that recognises a path; empty if none does."""
-    head = head_of(path)
-    claims = ((name, getattr(loaded, "recognises", None)) for name, loaded in loadable().items())
-    return next((name for name, claim in claims if claim is not None and claim(path, head)), "")
+    first_bytes = head_of(path)
+    recognisers = ((name, getattr(loaded, "recognises", None)) for name, loaded in loadable().items())
+    return next(
+        (name for name, recognises in recognisers if recognises is not None and recognises(path, first_bytes)), ""
+    )
 
 
 def loadable() -> dict[str, Any]:
@@ -119,9 +123,9 @@ def open_source(path: Path, name: str | None, request: SourceRequest) -> LogSour
     ------
     InputError : unreadable, not of its format, or of an unknown format.
     """
-    opened = load(name or format_of(path))
+    log_format = load(name or format_of(path))
     try:
-        source: LogSource = opened.open_source(path, request)
+        source: LogSource = log_format.open_source(path, request)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or ' '.join(str(error).split())}") from None
     return source

@@ -8,8 +8,8 @@ from typing import Any, Final
 from leactl.errors import InputError
 from leactl.runfile.importing.sources.source import reason_text
 
-MOST_PARTS: Final = 10_000  # of a message: rosbags writes code for each
-UNFINISHED_COUNT: Final = 0  # mark of a type whose parts are being counted
+MOST_PARTS: Final = 10_000  # fields of a message, nested ones included; rosbags generates code for each
+UNFINISHED_COUNT: Final = 0  # mark of a type whose fields are being counted
 SEPARATOR: Final = "=" * 80 + "\n"  # between the definitions of a schema of kind ros2idl
 
 
@@ -39,13 +39,13 @@ class RosTypes:
         self._failures: dict[tuple[str, bytes], str] = {}
 
     def learn(self, kind: str, encoding: str, text: bytes) -> str:
-        """Register a type and those it uses from their definition; returns the reason if that fails, else ""."""
+        """Register a type, and the types that it uses, from their definition; return why that failed, else ""."""
         if (kind, text) not in self._failures:
             self._failures[kind, text] = self._registration_failure(kind, encoding, text)
         return self._failures[kind, text]
 
     def usual(self, kind: str) -> str:
-        """Use the definition that ROS 2 ships for a type; returns the reason if there is none, else ""."""
+        """Use the definition of a type that ROS 2 ships; return a reason if there is none, else ""."""
         from rosbags.typesys import Stores, get_typestore
 
         self._shipped_store = self._shipped_store or get_typestore(Stores.LATEST)
@@ -69,19 +69,19 @@ class RosTypes:
         if encoding not in ("ros2msg", "ros2idl"):
             return f"is defined in {encoding or 'nothing'}; ros2msg or ros2idl was expected"
         try:
-            written = text.decode()
+            definition = text.decode()
             types: dict[str, Any] = {}
             if encoding == "ros2msg":
-                types = dict(get_types_from_msg(written, kind))
+                types = dict(get_types_from_msg(definition, kind))
             else:
-                for part in written.split(SEPARATOR):
+                for file_text in definition.split(SEPARATOR):
                     # included files are separate parts of the text, and rosbags does not know directives
-                    body = "\n".join(line for line in part.splitlines() if not line.startswith(("IDL: ", "#")))
-                    types |= get_types_from_idl(body) if body.strip() else {}
-            known = self._store.fielddefs
-            if parts_of(kind, {**known, **types}, {}) > MOST_PARTS:
+                    idl_text = "\n".join(line for line in file_text.splitlines() if not line.startswith(("IDL: ", "#")))
+                    types |= get_types_from_idl(idl_text) if idl_text.strip() else {}
+            known_types = self._store.fielddefs
+            if parts_of(kind, {**known_types, **types}, {}) > MOST_PARTS:
                 return f"has a definition of more than {MOST_PARTS} parts; fewer were expected"
-            self._store.register({name: fields for name, fields in types.items() if name not in known})
+            self._store.register({name: fields for name, fields in types.items() if name not in known_types})
         except (TypesysError, UnicodeDecodeError, RecursionError, KeyError, ValueError) as error:
             return f"has a definition that cannot be read: {reason_text(error)}"
         return ""

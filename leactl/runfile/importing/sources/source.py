@@ -49,12 +49,13 @@ class WantedColumn(NamedTuple):
 
 @dataclass(frozen=True)
 class SourceRequest:
-    """Columns and labels that will be asked of a source, so that a large file keeps only those.
+    """Columns and labels that the import will read from a source, so that only these of a large file take memory.
 
     Parameters
     ----------
-    columns : None for a survey: only `tables` will be called.
-    labels : columns that will be asked for as labels; they may also be in `columns`.
+    columns : columns that will be read; None for a survey, which only calls `tables`.
+    labels : columns that will be read as labels; they may also be in `columns`.
+    csv : form of a table of text.
     """
 
     columns: Sequence[WantedColumn] | None

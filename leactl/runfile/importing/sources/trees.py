@@ -88,25 +88,25 @@ class TreeSource:
         if _has_key(node, path):
             return self._child(node, path, "")
         steps = list(_STEP.finditer(path))
-        at = 0
-        while at < len(steps):
-            keys = [path[steps[at].start() : step.end()] for step in steps[at:]]
+        position = 0
+        while position < len(steps):
+            keys = [path[steps[position].start() : step.end()] for step in steps[position:]]
             # the longest key that exists, since a name in the file may contain dots
             count = next((number for number in range(len(keys), 1, -1) if _has_key(node, keys[number - 1])), 1)
-            is_index = count == 1 and steps[at][2] is not None
-            key = int(steps[at][2]) if is_index else keys[count - 1]
-            where = path[: steps[at - 1].end()] if at else ""
-            if is_column and isinstance(key, int) and at + 1 == len(steps) and _is_by_column(node, parent):
+            is_index = count == 1 and steps[position][2] is not None
+            key = int(steps[position][2]) if is_index else keys[count - 1]
+            where = path[: steps[position - 1].end()] if position else ""
+            if is_column and isinstance(key, int) and position + 1 == len(steps) and _is_by_column(node, parent):
                 return self._indexed(node, key, where)
             parent, node = node, self._child(node, key, where)
-            at += count
+            position += count
         return node
 
     def _child(self, node: Any, key: str | int, parent_path: str) -> Any:
         where = parent_path or "the file"
         if isinstance(key, int):
-            rows = isinstance(node, list) or (isinstance(node, np.ndarray) and node.ndim > 0)
-            if rows and key < len(node):
+            has_rows = isinstance(node, list) or (isinstance(node, np.ndarray) and node.ndim > 0)
+            if has_rows and key < len(node):
                 return node[key]
             raise MissingColumn(f"{self.path}: {where} has no item {key}; it is {_described(node)}")
         if isinstance(node, dict):
@@ -115,9 +115,9 @@ class TreeSource:
             raise MissingColumn(f"{self.path}: {where} has no {key!r}; it has {', '.join(map(str, node)) or 'nothing'}")
         if isinstance(node, list) and all(isinstance(item, dict) for item in node):
             if not any(key in item for item in node):
-                has = ", ".join(sorted({str(name) for item in node[:100] for name in item})) or "nothing"
-                raise MissingColumn(f"{self.path}: no record of {where} has {key!r}; they have {has}")
-            return [item.get(key) for item in node]  # None: that record lacks it
+                keys_text = ", ".join(sorted({str(name) for item in node[:100] for name in item})) or "nothing"
+                raise MissingColumn(f"{self.path}: no record of {where} has {key!r}; they have {keys_text}")
+            return [item.get(key) for item in node]  # None for a record without this key
         raise MissingColumn(f"{self.path}: {where} has no {key!r}; it is {_described(node)}")
 
     def _as_column(self, node: Any, name: str | int) -> Array | list[str]:
@@ -131,12 +131,12 @@ class TreeSource:
             numbers = array("d")
             for row, value in enumerate(node):
                 if value is not None and not isinstance(value, bool | int | float | np.number):
-                    shown = repr(value) if isinstance(value, str) else _described(value)
-                    raise InputError(f"{self.place(name, row)}: {shown} is not a number")
+                    value_text = repr(value) if isinstance(value, str) else _described(value)
+                    raise InputError(f"{self.place(name, row)}: {value_text} is not a number")
                 try:
                     numbers.append(np.nan if value is None else as_float(value))
-                except MissingColumn as lacking:
-                    raise InputError(f"{self.place(name, row)}: {lacking}") from None
+                except MissingColumn as error:
+                    raise InputError(f"{self.place(name, row)}: {error}") from None
             return np.frombuffer(numbers, np.float64)
         raise MissingColumn(f"{self.path}: {name!r} holds {_described(node)} where a column of numbers was expected")
 
@@ -149,7 +149,7 @@ def _has_key(node: Any, key: str) -> bool:
 
 
 def _is_by_column(value: Any, group: Any) -> bool:
-    """Return whether a value is a matrix whose rows are samples: a vector in its group has one value for each row.
+    """Return whether a value is a matrix whose rows are samples: its group has a vector with one value for each row.
 
     In a matrix that is wider than long, such as 3 joints by 7 samples with a vector of 3 link lengths, rows are samples
     only if that vector contains stamps by its name.
@@ -195,10 +195,10 @@ def _described(value: Any) -> str:
 def _undecoded(node: Any, path: str) -> Iterator[str]:
     """Yield path and description of each node in nested groups that cannot be decoded."""
     for name, value in node.items() if isinstance(node, dict) else ():
-        below = f"{path}.{name}" if path else str(name)
+        child_path = f"{path}.{name}" if path else str(name)
         if isinstance(value, Undecoded):
-            yield f"{below} holds {value.description}"
-        yield from _undecoded(value, below)
+            yield f"{child_path} holds {value.description}"
+        yield from _undecoded(value, child_path)
 
 
 def _tables(node: Any, path: str) -> Iterator[ListedTable]:
@@ -208,16 +208,16 @@ def _tables(node: Any, path: str) -> Iterator[ListedTable]:
         by_length: dict[int, list[ListedColumn]] = {}
         for name, value in node.items():
             if _is_column(value):
-                array = node.get(str(name)[: -len("[0]")]) if str(name).endswith("[0]") else None
-                if not _is_column(array):  # else `q[0]` of an array of one column, which is listed as `q`
+                parent_array = node.get(str(name)[: -len("[0]")]) if str(name).endswith("[0]") else None
+                if not _is_column(parent_array):  # else `q[0]` of an array of one column, which is listed as `q`
                     by_length.setdefault(np.size(value), []).append(ListedColumn(str(name)))
             elif _is_by_column(value, node) or is_by_row(value, node):
                 channels, samples = _width(value), len(value)
                 if is_by_row(value, node):
                     channels, samples = samples, channels
-                names = [f"{name}[{at}]" for at in range(min(channels, MOST_COLUMNS))]
-                new = [ListedColumn(column) for column in names if column not in node]
-                by_length.setdefault(samples, []).extend(new)
+                names = [f"{name}[{index}]" for index in range(min(channels, MOST_COLUMNS))]
+                new_columns = [ListedColumn(column) for column in names if column not in node]
+                by_length.setdefault(samples, []).extend(new_columns)
             elif len(path) < LONGEST_PATH:
                 yield from _tables(value, f"{path}.{name}" if path else str(name))
         for columns in by_length.values():
@@ -228,19 +228,21 @@ def _tables(node: Any, path: str) -> Iterator[ListedTable]:
         yield ListedTable(records, tuple(map(ListedColumn, range(min(node.shape[1], MOST_COLUMNS)))))
     elif isinstance(node, list) and len(node) >= FEWEST_ROWS and all(isinstance(row, list) for row in node):
         width = min(len(row) for row in node)
-        numbers_at = [at for at in range(width) if all(_is_number(row[at]) for row in node[:SURVEYED_ROWS])]
-        yield ListedTable(records, tuple(map(ListedColumn, numbers_at)))
+        number_columns = [
+            index for index in range(width) if all(_is_number(row[index]) for row in node[:SURVEYED_ROWS])
+        ]
+        yield ListedTable(records, tuple(map(ListedColumn, number_columns)))
 
 
 def _columns_of_records(items: list[dict[str, Any]], path: str) -> Iterator[str]:
     """Yield the paths of the numbers in records and their nested records."""
     for name in dict.fromkeys(str(name) for item in items for name in item):
         values = [item.get(name) for item in items]
-        below = f"{path}.{name}" if path else name
+        child_path = f"{path}.{name}" if path else name
         if all(map(_is_number, values)):
-            yield below
-        elif all(isinstance(value, dict) for value in values) and len(below) < LONGEST_PATH:
-            yield from _columns_of_records(values, below)  # type: ignore[arg-type]
+            yield child_path
+        elif all(isinstance(value, dict) for value in values) and len(child_path) < LONGEST_PATH:
+            yield from _columns_of_records(values, child_path)  # type: ignore[arg-type]
 
 
 def _is_column(value: Any) -> bool:

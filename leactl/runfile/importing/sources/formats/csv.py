@@ -1,4 +1,4 @@
-"""Tables of text, such as CSV, in the format that the mapping states."""
+"""Read tables of text, such as CSV, in the format that the mapping states."""
 
 from collections.abc import Iterable
 from contextlib import suppress
@@ -25,7 +25,7 @@ def open_source(path: Path, request: SourceRequest) -> "CsvSource":
 
     Raises
     ------
-    InputError : unreadable, or not in the format that the mapping states.
+    InputError : the file cannot be read, or is not in the format that the mapping states.
     """
     return CsvSource(path, request)
 
@@ -69,15 +69,15 @@ class CsvSource(Columns):
         """
         if isinstance(name, str) and self.names.count(name) > 1:
             raise MissingColumn(f"{self.path}: the header has {name!r} {self.names.count(name)} times; give its index")
-        at = self.position(name)
-        if at not in available:
-            has = ", ".join(self.names) if self.names else "no header"
+        index = self.position(name)
+        if index not in available:
+            headers_text = ", ".join(self.names) if self.names else "no header"
             hint = "; is csv.delimiter right?" if len(self.names) == 1 else ""
-            raise MissingColumn(f"{self.path} has no column {name!r}; it has {has}{hint}")
-        return at
+            raise MissingColumn(f"{self.path} has no column {name!r}; it has {headers_text}{hint}")
+        return index
 
     def is_number(self, cell: str) -> bool:
-        """Return whether a cell is a number or a missing one."""
+        """Return whether a cell is a number, or marks a missing one."""
         with suppress(ValueError):
             return cell in self._missing or self.number(cell) is not None
         return False
@@ -100,13 +100,15 @@ class CsvSource(Columns):
         """
         listed = []
         time: ListedColumn | None = None
-        for at, cells in sorted(self._columns.items()):
-            name = self.names[at] if at < len(self.names) else ""
+        for index, cells in sorted(self._columns.items()):
+            name = self.names[index] if index < len(self.names) else ""
             texts = [str(cell) for cell in cells]
-            column = name if self.names.count(name) == 1 and name else at
+            column = name if self.names.count(name) == 1 and name else index
             if all(map(self.is_number, texts)) and not self._missing.issuperset(texts):
-                twice = f"its header stands over {self.names.count(name)} columns" if self.names.count(name) > 1 else ""
-                listed.append(ListedColumn(column, why_unnamed=twice))
+                why_unnamed = (
+                    f"its header stands over {self.names.count(name)} columns" if self.names.count(name) > 1 else ""
+                )
+                listed.append(ListedColumn(column, why_unnamed=why_unnamed))
             elif time is None and all(map(is_moment, texts)):
                 time = ListedColumn(column, "iso8601", "ISO 8601, as its cells are")
         return [ListedTable(None, tuple(listed), time=time)]

@@ -1,4 +1,4 @@
-"""JSON documents."""
+"""Read JSON documents."""
 
 import json
 from collections import Counter
@@ -11,7 +11,7 @@ from leactl.runfile.importing.sources.trees import TreeSource
 from leactl.yamlfile import shown
 
 ENDINGS = (".json",)
-MAX_JSON_BYTES = 1 << 30  # held in memory about five times over
+MAX_JSON_BYTES = 1 << 30  # of a file, whose content takes about five times as much memory
 
 
 def open_source(path: Path, request: SourceRequest) -> TreeSource:
@@ -24,7 +24,7 @@ def json_tree(path: Path) -> Any:
 
     Raises
     ------
-    InputError : too large, not UTF-8, not JSON, or with a key twice in one object.
+    InputError : the file is too large, not UTF-8 or not JSON, or has a key twice in one object.
     """
 
     def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -35,7 +35,7 @@ def mat_tree(path: Path) -> Any:
 
     Raises
     ------
-    InputError : not a MAT file, or one cut short.
+    InputError : the file is not a MAT file, or is cut short.
     """
     from scipy.io import loadmat
 
@@ -56,7 +56,7 @@ def mat_tree(path: Path) -> Any:
 
 
 def check_unpacked_size(path: Path) -> None:
-    """Refuse a MAT file of version 5 to 7 whose compressed variables exceed `MOST_UNPACKED`.
+    """Raise InputError if the compressed variables of a MAT file of version 5 to 7 exceed `MOST_UNPACKED`.
 
     The file is a sequence of elements with type and length; compressed ones are zlib streams (MATLAB, MAT-file format).
 
@@ -64,14 +64,14 @@ def check_unpacked_size(path: Path) -> None:
     ------
     InputError : the variables are too large.
     """
-    times, extra = MOST_UNPACKED
+    size_factor, extra_bytes = MOST_UNPACKED
     with open_regular(path) as raw:
         size = os.fstat(raw.fileno()).st_size
-        bytes_left = times * size + extra
-        head = raw.read(MAT_HEADER)
-        if 0 in head[:4]:
+        bytes_left = size_factor * size + extra_bytes
+        header = raw.read(MAT_HEADER)
+        if 0 in header[:4]:
             return  # version 4, which compresses nothing
-        order: Literal["big", "little"] = "little" if head.endswith(b"IM") else "big"  # as scipy takes other marks
+        order: Literal["big", "little"] = "little" if header.endswith(b"IM") else "big"  # as scipy takes other marks
         while len(tag := raw.read(8)) == 8:
             element_type, length = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)
             if element_type == MAT_MATRIX:
@@ -79,16 +79,18 @@ def check_unpacked_size(path: Path) -> None:
                 continue
             if element_type != MAT_COMPRESSED:
                 return  # damaged, as scipy will say
-            packed = raw.read(length)
-            deflate = zlib.decompressobj()
-            while packed:
+            compressed = raw.read(length)
+            decompressor = zlib.decompressobj()
+            while compressed:
                 try:
-                    bytes_left -= len(deflate.decompress(packed, BLOCK_BYTES))
+                    bytes_left -= len(decompressor.decompress(compressed, BLOCK_BYTES))
                 except zlib.error:
                     return  # damaged, as scipy will say
-                packed = deflate.unconsumed_tail
+                compressed = decompressor.unconsumed_tail
                 if bytes_left < 0:
-                    raise InputError(f"{path}: unpacks to more than {times * size + extra} bytes; fewer were expected")
+                    raise InputError(
+                        f"{path}: unpacks to more than {size_factor * size + extra_bytes} bytes; fewer were expected"
+                    )
 
 
 def hdf5_tree(path: Path) -> Any:
@@ -117,12 +119,12 @@ class _ReferenceReader:
         if address not in self._read:
             if depth == MOST_FOREIGN_LEVELS:  # as where a cell refers to itself
                 raise InputError(f"{self._path}: cells in more than {MOST_FOREIGN_LEVELS} others; fewer were expected")
-            self._read[address] = self._unread(node, depth + 1)
+            self._read[address] = self._read_value(node, depth + 1)
         return self._read[address]
 
-    def _unread(self, node: Any, depth: int) -> Any:
-        kind = _text(node.attrs.get("MATLAB_class", b""))
-        if "MATLAB_object_decode" in node.attrs:  # its numbers are those of the object, not its values
+    def _read_value(self, node: Any, depth: int) -> Any:
+        kind = _attribute_text(node.attrs.get("MATLAB_class", b""))
+        if "MATLAB_object_decode" in node.attrs:  # its numbers identify the object and are not its values
             return Undecoded(f"a MATLAB object ({kind}), which only MATLAB decodes (save its vectors as variables)")
         if "MATLAB_sparse" in node.attrs:
             return Undecoded("a sparse matrix (save full(...) of it)")
@@ -143,8 +145,8 @@ class _ReferenceReader:
     def _struct(self, group: Any, depth: int) -> Any:
         """Return a struct by field; for an array of structs, whose fields are references, a list of structs."""
         fields = dict(group.items())
-        of_many = [_refers(child) and "MATLAB_class" not in child.attrs for child in fields.values()]
-        if not fields or not all(of_many):
+        are_cells = [_holds_references(child) and "MATLAB_class" not in child.attrs for child in fields.values()]
+        if not fields or not all(are_cells):
             return {name: self.value(child, depth) for name, child in fields.items()}
         columns = [self._cells(child, depth) for child in fields.values()]
         return [dict(zip(fields, values, strict=True)) for values in zip(*columns, strict=True)]
@@ -154,11 +156,11 @@ class _ReferenceReader:
         return [self.value(self._file[reference], depth) for reference in dataset[()].reshape(-1) if reference]
 
 
-def _refers(node: Any) -> bool:
+def _holds_references(node: Any) -> bool:
     """Return whether a node is a dataset of references."""
     return isinstance(node, h5py.Dataset) and h5py.check_ref_dtype(node.dtype) is not None
 
 
-def _text(value: Any) -> str:
+def _attribute_text(value: Any) -> str:
     """Return the text of an attribute."""
     return value.decode("ascii", "replace") if isinstance(value, bytes) else str(value)

@@ -1,4 +1,4 @@
-"""MCAP logs: messages in JSON, and those of ROS 2 with the definitions in the file.
+"""Read MCAP logs: messages in JSON, and messages of ROS 2 by the definitions in the file.
 
 The container is read by the package `mcap`, chunk by chunk, and no chunk is decompressed beyond its announced size;
 definitions and CDR are read by `rosbags` (MCAP specification, mcap.dev/spec; its registry of well-known encodings).
@@ -21,8 +21,8 @@ from leactl.runfile.importing.sources.ros_types import RosTypes, packages
 from leactl.runfile.importing.sources.source import SourceRequest, reason_text
 
 ENDINGS = (".mcap",)
-LARGEST_CHUNK: Final = 1 << 28  # bytes unpacked: recorders write some megabytes
-LARGEST_RECORD: Final = 1 << 28
+LARGEST_CHUNK: Final = 1 << 28  # bytes after decompression; recorders write chunks of some megabytes
+LARGEST_RECORD: Final = 1 << 28  # bytes
 MAGIC: Final = b"\x89MCAP0\r\n"
 SHORTEST_FILE: Final = 2 * len(MAGIC) + 29  # bytes: both magics and a footer
 TRUNCATED = "truncated: it ends before its footer; `mcap recover` saves what is whole"
@@ -33,7 +33,7 @@ def open_source(path: Path, request: SourceRequest) -> MessageSource:
 
     Raises
     ------
-    InputError : not MCAP, truncated, damaged, or the packages that read it are missing.
+    InputError : the file is not MCAP, truncated or damaged, or the packages that read it are missing.
     """
     with packages(path), open_regular(path) as file:
         opened = McapFile(path, file)
@@ -63,9 +63,9 @@ class McapFile:
         from mcap.reader import SeekingReader
 
         self._file.seek(0)
-        begins = self._file.read(len(MAGIC))
-        if begins != MAGIC:
-            raise InputError(f"{self._path}: {TRUNCATED if MAGIC.startswith(begins) else 'not an MCAP file'}")
+        first_bytes = self._file.read(len(MAGIC))
+        if first_bytes != MAGIC:
+            raise InputError(f"{self._path}: {TRUNCATED if MAGIC.startswith(first_bytes) else 'not an MCAP file'}")
         if self._file.seek(0, os.SEEK_END) >= SHORTEST_FILE:
             self._file.seek(-len(MAGIC), os.SEEK_END)
         if self._file.read() != MAGIC:
@@ -143,13 +143,13 @@ class McapFile:
         except (zstandard.ZstdError, RuntimeError, EOFError) as error:
             raise InputError(f"{self._path}: damaged: a chunk does not unpack: {error}") from None
         if len(data) != size:
-            unpacked = f"{'more than ' * (len(data) > size)}{min(len(data), size)}"
-            raise InputError(f"{self._path}: damaged: a chunk unpacks to {unpacked} bytes where it says {size}")
+            size_text = f"{'more than ' * (len(data) > size)}{min(len(data), size)}"
+            raise InputError(f"{self._path}: damaged: a chunk unpacks to {size_text} bytes where it says {size}")
         if chunk.uncompressed_crc not in (0, zlib.crc32(data)):  # 0 where the recorder made none
             raise InputError(f"{self._path}: damaged: a chunk is not what its CRC says")
-        plain = {"compression": "", "data": data, "uncompressed_size": size, "uncompressed_crc": 0}
+        content = {"compression": "", "data": data, "uncompressed_size": size, "uncompressed_crc": 0}
         times = {"message_start_time": chunk.message_start_time, "message_end_time": chunk.message_end_time}
-        return Chunk(**plain, **times)
+        return Chunk(**content, **times)
 
     def _announce(self, channel: Any) -> None:
         if channel.id in self._channels:

@@ -1,4 +1,4 @@
-"""Archives of NumPy arrays (`numpy.savez`): sizes are checked by the arrays' headers, and nothing is unpickled."""
+"""Read archives of NumPy arrays (`numpy.savez`); sizes are checked by the arrays' headers, and nothing is unpickled."""
 
 import zipfile
 import zlib
@@ -15,7 +15,7 @@ from leactl.runfile.importing.sources.trees import MOST_COLUMNS, TreeSource, is_
 
 ENDINGS = (".npz",)
 MOST_ARRAYS: Final = 1000
-LONGEST_HEADER: Final = 10_000  # characters, NumPy's own bound on what it parses
+LONGEST_HEADER: Final = 10_000  # characters; NumPy's own bound of a header that it parses
 HEADERS: Final = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 DAMAGE: Final = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, NotImplementedError, RuntimeError, KeyError)
 
@@ -40,15 +40,17 @@ def open_source(path: Path, request: SourceRequest) -> TreeSource:
 
 
 def columns_of(arrays: dict[str, Any]) -> dict[str, Any]:
-    """Return the columns of matrices by names such as `q[2]`, but for those whose rows are channels."""
+    """Return the columns of matrices by names such as `q[2]`, except for matrices whose rows are channels."""
     matrices = {name: array for name, array in arrays.items() if np.ndim(array) == 2 and not is_by_row(array, arrays)}
     return {
-        f"{name}[{at}]": array[:, at] for name, array in matrices.items() for at in range(array.shape[1])[:MOST_COLUMNS]
+        f"{name}[{index}]": array[:, index]
+        for name, array in matrices.items()
+        for index in range(array.shape[1])[:MOST_COLUMNS]
     }
 
 
 def check_unpacked_size(path: Path, archive: zipfile.ZipFile, raw: BinaryIO) -> None:
-    """Refuse an archive with too many arrays, or one that exceeds `MOST_UNPACKED`.
+    """Raise InputError if an archive has too many arrays or exceeds `MOST_UNPACKED`.
 
     Raises
     ------
@@ -57,15 +59,15 @@ def check_unpacked_size(path: Path, archive: zipfile.ZipFile, raw: BinaryIO) -> 
     infos = archive.infolist()
     if len(infos) > MOST_ARRAYS:
         raise InputError(f"{path}: {len(infos)} arrays; at most {MOST_ARRAYS} were expected")
-    times, extra = MOST_UNPACKED
+    size_factor, extra_bytes = MOST_UNPACKED
     size = raw.seek(0, 2)
-    most = times * size + extra
-    if (unpacked := sum(info.file_size for info in infos)) > most:
-        raise InputError(f"{path}: unpacks to {unpacked} bytes from {size}; at most {most} were expected")
+    most_bytes = size_factor * size + extra_bytes
+    if (unpacked_bytes := sum(info.file_size for info in infos)) > most_bytes:
+        raise InputError(f"{path}: unpacks to {unpacked_bytes} bytes from {size}; at most {most_bytes} were expected")
 
 
 def read_array(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Any:
-    """Read an array.
+    """Read an array of an archive; a one-dimensional array of text becomes a list of str.
 
     Raises
     ------
@@ -75,12 +77,14 @@ def read_array(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> A
         version = np.lib.format.read_magic(member)
         if version not in HEADERS:
             raise InputError(f"{path}: {info.filename}: version {version} of its header is not read")
-        shape, fortran, dtype = HEADERS[version](member, max_header_size=LONGEST_HEADER)
+        shape, is_fortran_order, dtype = HEADERS[version](member, max_header_size=LONGEST_HEADER)
         if dtype.hasobject:
             raise InputError(f"{path}: {info.filename}: an array of objects; numbers or text were expected")
-        announced = int(np.prod(shape, dtype=object)) * dtype.itemsize
-        if (stored := info.file_size - member.tell()) != announced:
-            raise InputError(f"{path}: {info.filename}: its header says {announced} bytes; {stored} are stored")
-        flat = np.frombuffer(member.read(announced), dtype)
-    array = flat.reshape(shape, order="F" if fortran else "C")
+        announced_bytes = int(np.prod(shape, dtype=object)) * dtype.itemsize
+        if (stored_bytes := info.file_size - member.tell()) != announced_bytes:
+            raise InputError(
+                f"{path}: {info.filename}: its header says {announced_bytes} bytes; {stored_bytes} are stored"
+            )
+        flat = np.frombuffer(member.read(announced_bytes), dtype)
+    array = flat.reshape(shape, order="F" if is_fortran_order else "C")
     return [str(text) for text in flat] if dtype.kind in "U" and array.ndim == 1 else array

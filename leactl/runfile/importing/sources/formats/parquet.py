@@ -1,4 +1,4 @@
-"""Parquet tables (Apache Parquet), by `pyarrow`; elements of lists are named `name[3]`, members of structs `a.b`.
+"""Read Parquet tables by `pyarrow`; elements of lists are named `name[3]`, members of structs `a.b`.
 
 Timestamps become seconds since the first of their column. Units, quantity, role and so on in the metadata of a field,
 as `leactl runs export` writes them, are taken as declared by the file; so are the run's labels in that of the schema.
@@ -22,7 +22,7 @@ from leactl.runfile.importing.sources.source import ListedColumn, ListedTable, S
 from leactl.runfile.importing.sources.trees import MOST_COLUMNS, TreeSource
 
 ENDINGS = (".parquet", ".pq")
-VALUE_BYTES: Final = 8  # of a number once it is read
+VALUE_BYTES: Final = 8  # of a number in memory
 PER_SECOND: Final = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 MOST_INFO_BYTES: Final = 1 << 24
 META_DEPTH: Final = 3  # folders above an episode of LeRobot to its dataset: data/chunk-000/episode_000000.parquet
@@ -52,7 +52,7 @@ def modules() -> tuple[Any, Any]:
         from pyarrow import parquet
     except ModuleNotFoundError as fault:
         raise InputError("Parquet needs pyarrow: pip install 'leactl[parquet]'") from fault
-    except ImportError as fault:  # installed, and for another NumPy
+    except ImportError as fault:  # it is installed, but was built for another NumPy
         raise InputError(f"Parquet needs pyarrow, which cannot be loaded: {str(fault).splitlines()[0]}") from fault
     return pyarrow, parquet
 
@@ -62,7 +62,7 @@ def open_source(path: Path, request: SourceRequest) -> ParquetSource:
 
     Raises
     ------
-    InputError : not Parquet, damaged, too large when decompressed, or pyarrow is missing.
+    InputError : the file is not Parquet, damaged, or too large when decompressed, or pyarrow is missing.
     """
     arrow, parquet = modules()
     with open_regular(path) as raw, readable(path, arrow):
@@ -98,23 +98,23 @@ def asked_for(name: str, request: SourceRequest) -> bool:
 
 
 def check_unpacked_size(path: Path, metadata: Any, names: Iterable[str]) -> None:
-    """Refuse a file whose columns exceed `MOST_UNPACKED`; a repeated value takes almost no space in a Parquet file.
+    """Raise InputError if the columns exceed `MOST_UNPACKED`, since repeated values take almost no space in the file.
 
     Raises
     ------
     InputError : the columns are too large.
     """
-    wanted, values = set(names), 0
+    wanted, value_count = set(names), 0
     for group in range(metadata.num_row_groups):
-        for at in range(metadata.num_columns):
-            column = metadata.row_group(group).column(at)
+        for index in range(metadata.num_columns):
+            column = metadata.row_group(group).column(index)
             if column.path_in_schema.split(".")[0] in wanted or column.path_in_schema in wanted:
-                values += max(column.num_values, 0)
-    times, extra = MOST_UNPACKED
+                value_count += max(column.num_values, 0)
+    size_factor, extra_bytes = MOST_UNPACKED
     size = path.stat().st_size
-    if VALUE_BYTES * values > times * size + extra:
-        most = (times * size + extra) // VALUE_BYTES
-        raise InputError(f"{path}: {values} values in a file of {size} bytes; at most {most} were expected")
+    if VALUE_BYTES * value_count > size_factor * size + extra_bytes:
+        most_values = (size_factor * size + extra_bytes) // VALUE_BYTES
+        raise InputError(f"{path}: {value_count} values in a file of {size} bytes; at most {most_values} were expected")
 
 
 def columns_of(
@@ -123,28 +123,28 @@ def columns_of(
     """Return the columns by name, their declarations, and the earliest timestamp of any column."""
     tree: dict[str, Any] = {}
     listed: list[ListedColumn] = []
-    began: list[datetime] = []
+    first_stamps: list[datetime] = []
     for field, column in zip(table.schema, table.columns, strict=True):
         kind, declared = field.type, declared_column(field.name, texts_of(field.metadata))
         if arrow.types.is_timestamp(kind):
-            tree[field.name], first = seconds(column, kind.unit, arrow)
-            began += [first] if first else []
+            tree[field.name], first_stamp = seconds(column, kind.unit, arrow)
+            first_stamps += [first_stamp] if first_stamp else []
             listed.append(ListedColumn(field.name, "s", "the type of its column"))
         elif arrow.types.is_string(kind) or arrow.types.is_large_string(kind) or arrow.types.is_dictionary(kind):
             tree[field.name] = texts(column)
         elif is_list(kind, arrow):
             columns = elements_of(column, arrow)
             names = elements.get(field.name, [])
-            tree |= {f"{field.name}[{at}]": values for at, values in enumerate(columns)}
+            tree |= {f"{field.name}[{index}]": values for index, values in enumerate(columns)}
             if columns and len(names) == len(columns):
                 tree |= {f"{field.name}[{name}]": values for name, values in zip(names, columns, strict=True)}
                 listed.append(ListedColumn(f"{field.name}[{PLACEHOLDER}]"))
             else:
-                listed += [ListedColumn(f"{field.name}[{at}]") for at in range(len(columns))]
+                listed += [ListedColumn(f"{field.name}[{index}]") for index in range(len(columns))]
         elif is_number(kind, arrow):
             tree[field.name] = column.cast(arrow.float64(), safe=False).to_numpy()
             listed.append(declared)
-    return tree, listed, min(began, default=None)
+    return tree, listed, min(first_stamps, default=None)
 
 
 def texts_of(metadata: dict[bytes, bytes] | None) -> dict[str, str]:
@@ -155,10 +155,10 @@ def texts_of(metadata: dict[bytes, bytes] | None) -> dict[str, str]:
 def declared_column(name: str, metadata: dict[str, str]) -> ListedColumn:
     """Return a column with what its metadata declares in the vocabulary of run files."""
     expected = {"quantity": UNITS, "role": ROLES, "sampling": ("instant", "mean")}
-    known = {key: metadata[key] for key, words in expected.items() if metadata.get(key) in words}
-    known |= {key: metadata[key] for key in ("location", "device") if key in metadata}
+    declared = {key: metadata[key] for key, words in expected.items() if metadata.get(key) in words}
+    declared |= {key: metadata[key] for key in ("location", "device") if key in metadata}
     units = metadata.get("units", "")
-    return ListedColumn(name, units, "the file's metadata" if units or known else "", **known)
+    return ListedColumn(name, units, "the file's metadata" if units or declared else "", **declared)
 
 
 def declared_run(metadata: dict[str, str]) -> Iterator[tuple[str, str | bool]]:
@@ -194,7 +194,7 @@ def elements_of(column: Any, arrow: Any) -> list[Any]:
     if any(length != width for chunk in column.chunks for length in lengths(chunk)):
         return []
     matrix = values.cast(arrow.float64(), safe=False).to_numpy().reshape(rows, width)
-    return [matrix[:, at] for at in range(width)]
+    return [matrix[:, index] for index in range(width)]
 
 
 def lengths(chunk: Any) -> Any:
@@ -205,24 +205,26 @@ def lengths(chunk: Any) -> Any:
 def seconds(column: Any, unit: str, arrow: Any) -> tuple[Any, datetime | None]:
     """Convert timestamps to seconds since the first one, and return the first one too."""
     counts = column.cast(arrow.int64())
-    first = next((count.as_py() for count in counts if count.is_valid), None)
-    if first is None:
+    first_count = next((count.as_py() for count in counts if count.is_valid), None)
+    if first_count is None:
         return np.full(len(column), np.nan), None
-    since = np.array([np.nan if value is None else (value - first) / PER_SECOND[unit] for value in counts.to_pylist()])
+    elapsed = np.array(
+        [np.nan if value is None else (value - first_count) / PER_SECOND[unit] for value in counts.to_pylist()]
+    )
     try:
-        return since, datetime.fromtimestamp(first / PER_SECOND[unit], UTC)
+        return elapsed, datetime.fromtimestamp(first_count / PER_SECOND[unit], UTC)
     except (OverflowError, ValueError, OSError):
-        return since, None
+        return elapsed, None
 
 
 def texts(column: Any) -> list[str]:
     """Return a column of text; equal texts share one str object, since few occur in millions of rows."""
     encoded = column if hasattr(column.type, "value_type") else column.dictionary_encode()
-    out: list[str] = []
+    column_texts: list[str] = []
     for chunk in encoded.chunks:
         words = ["" if word is None else str(word) for word in chunk.dictionary.to_pylist()]
-        out += ["" if at is None else words[at] for at in chunk.indices.to_pylist()]
-    return out
+        column_texts += ["" if index is None else words[index] for index in chunk.indices.to_pylist()]
+    return column_texts
 
 
 def joint_names(path: Path) -> dict[str, list[str]]:
@@ -232,10 +234,10 @@ def joint_names(path: Path) -> dict[str, list[str]]:
     try:
         with open_regular(info, MOST_INFO_BYTES) as raw:
             features = json.load(raw)["features"]
-        names_by_feature = {str(name): about.get("names") for name, about in features.items()}
+        names_by_feature = {str(name): feature.get("names") for name, feature in features.items()}
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        return {}  # no such dataset, and its elements go by number
-    # older ones have the list under a key of its own: {"motors": [...]}
+        return {}  # not a LeRobot dataset, so that elements are named by number
+    # older datasets have the list under a further key: {"motors": [...]}
     joint_lists = {
         name: next(iter(names.values()), None) if isinstance(names, dict) else names
         for name, names in names_by_feature.items()

@@ -1,4 +1,4 @@
-"""ROS 2 bags: a folder with `metadata.yaml` and files of SQLite or MCAP, or a single `.db3`; read by `rosbags`.
+"""Read ROS 2 bags by `rosbags`: a folder with `metadata.yaml` and files of SQLite or MCAP, or a single `.db3`.
 
 Types come from the definitions in the bag (since ROS 2 Iron), else from those that ROS 2 ships.
 """
@@ -36,7 +36,7 @@ def open_source(path: Path, request: SourceRequest) -> MessageSource:
 
     Raises
     ------
-    InputError : not a bag, compressed as whole files, damaged, or the packages that read it are missing.
+    InputError : the path is not a bag, its files are compressed or damaged, or the packages that read it are missing.
     """
     with packages(path), ExitStack() as stack:
         files, unpack = files_of(path) if path.is_dir() else ([path], False)
@@ -44,10 +44,10 @@ def open_source(path: Path, request: SourceRequest) -> MessageSource:
         topics: dict[str, Topic] = {}
         for bag_file in opened:
             for name, topic in bag_file.topics.items():
-                known = topics.setdefault(name, topic)
-                if known.kind != topic.kind:
+                first_topic = topics.setdefault(name, topic)
+                if first_topic.kind != topic.kind:
                     topics[name] = topic._replace(
-                        unreadable=f"is of {known.kind} in one file and {topic.kind} in another"
+                        unreadable=f"is of {first_topic.kind} in one file and {topic.kind} in another"
                     )
 
         def messages(wanted: Collection[str]) -> Iterator[Message]:
@@ -62,7 +62,7 @@ def files_of(folder: Path) -> tuple[list[Path], bool]:
 
     Raises
     ------
-    InputError : metadata that list no files, or files that are compressed or missing.
+    InputError : the metadata list no files or are too new, or files are compressed or missing.
     """
     document = yamlfile.load(folder / METADATA)
     information = document.data.get("rosbag2_bagfile_information") if isinstance(document.data, dict) else None
@@ -82,11 +82,11 @@ def files_of(folder: Path) -> tuple[list[Path], bool]:
 
 
 def open_file(path: Path, unpack: bool, stack: ExitStack) -> "McapFile | BagFile":
-    """Open one file of a bag for as long as the stack lasts.
+    """Open one file of a bag until the stack is closed.
 
     Raises
     ------
-    InputError : neither SQLite nor MCAP, or the last messages are still in a write-ahead log beside it.
+    InputError : the file is neither SQLite nor MCAP, or a write-ahead log beside it still has the last messages.
     """
     file = stack.enter_context(open_regular(path))
     if path.suffix == ".mcap":
@@ -121,10 +121,10 @@ class BagFile:
         connections = {
             connection.id: connection for connection in self._reader.connections if connection.topic in wanted
         }
-        place = f"{self._path.absolute().as_uri()}?immutable=1"
-        with self._readable(), closing(sqlite3.connect(place, uri=True)) as bag:
-            marks = ", ".join("?" * len(connections))
-            for topic_id, stamp_ns, data in bag.execute(IN_ORDER.format(marks), tuple(connections)):
+        uri = f"{self._path.absolute().as_uri()}?immutable=1"
+        with self._readable(), closing(sqlite3.connect(uri, uri=True)) as bag:
+            placeholders = ", ".join("?" * len(connections))
+            for topic_id, stamp_ns, data in bag.execute(IN_ORDER.format(placeholders), tuple(connections)):
                 connection = connections[topic_id]
                 decode = partial(self._decode, connection.msgtype, bytes(data))
                 yield Message(connection.topic, stamp_ns, stamp_ns, decode)
@@ -145,10 +145,10 @@ class BagFile:
         if connection.ext.serialization_format != "cdr":
             return Topic(connection.topic, kind, f"is in {connection.ext.serialization_format}; cdr was expected")
         if definition.format in encodings:
-            why = self._types.learn(kind, encodings[definition.format], definition.data.encode())
+            reason = self._types.learn(kind, encodings[definition.format], definition.data.encode())
         else:
-            why = self._types.usual(kind)
-        return Topic(connection.topic, kind, why)
+            reason = self._types.usual(kind)
+        return Topic(connection.topic, kind, reason)
 
     @contextmanager
     def _readable(self) -> Iterator[None]:

@@ -1,4 +1,4 @@
-"""SysId JSON of WPILib (2020 to 2023) and frc-characterization; each test is addressed as a `{joint}` and gives a run.
+"""Read SysId JSON of WPILib (2020 to 2023) and frc-characterization; each test is a `{joint}` and becomes a run.
 
 A test is a list of rows: time [s], voltage [V], position and velocity. The file names the units of position and
 velocity, but a person chose them, and they may be wrong: published files name Radians and contain turns.
@@ -44,7 +44,7 @@ def open_source(path: Path, request: SourceRequest) -> SysidSource:
 
     Raises
     ------
-    InputError : not JSON, no test, or rows of another length.
+    InputError : the file is not JSON or has no test, or rows have another length.
     """
     tree = json_tree(path)
     tests = {name: tree[name] for name in TESTS if isinstance(tree, dict) and tree.get(name)}
@@ -58,9 +58,9 @@ def columns_of(path: Path, name: str, rows: Any) -> dict[str, list[Any]]:
 
     Raises
     ------
-    InputError : not a list of rows of a known length.
+    InputError : the test is not a list of rows of a known length.
     """
     lengths = {len(row) if isinstance(row, list) else 0 for row in rows} if isinstance(rows, list) else set()
     if len(lengths) != 1 or (width := lengths.pop()) not in ROWS:
         raise InputError(f"{path}: {name}: rows of {' or '.join(map(str, ROWS))} numbers were expected")
-    return {column: [row[at] for row in rows] for at, column in enumerate(ROWS[width])}
+    return {column: [row[index] for row in rows] for index, column in enumerate(ROWS[width])}

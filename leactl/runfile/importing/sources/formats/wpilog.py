@@ -1,4 +1,4 @@
-"""WPILib data logs (`.wpilog`): each entry is a topic with one field, `value`; stamps are the robot's microseconds.
+"""Read WPILib data logs (`.wpilog`): each entry is a topic with one field, `value`; stamps are microseconds.
 
 After the public specification, WPILib Data Log File Format 1.0 (allwpilib, wpiutil/doc/datalog.adoc). WPILib's own
 Python reader is not used because it neither reports a truncated file nor stops at the truncated record.
@@ -30,12 +30,12 @@ TEXTS: Final = ("string", "json")
 
 
 class WpiRecord(NamedTuple):
-    """Entry, stamp and payload range [bytes] of a record."""
+    """A record of the log, with the range of its payload in the file."""
 
-    entry: int
+    entry: int  # number; 0 for a control record
     stamp_us: int
-    begins: int
-    ends: int
+    payload_offset: int  # first byte
+    payload_end: int  # byte after the last
 
 
 def open_source(path: Path, request: SourceRequest) -> MessageSource:
@@ -43,7 +43,7 @@ def open_source(path: Path, request: SourceRequest) -> MessageSource:
 
     Raises
     ------
-    InputError : not one, of another major version, truncated or damaged.
+    InputError : the file is not a data log, of another major version, truncated or damaged.
     """
     with open_regular(path) as file, _mapped(path, file) as data:
         opened = WpiLog(path, data)
@@ -64,75 +64,77 @@ class WpiLog:
         self.topics: dict[str, Topic] = {}
         self._first = self._header()
         for record in self._records():
-            if record.entry == 0 and data[record.begins] == START:
+            if record.entry == 0 and data[record.payload_offset] == START:
                 _, name, kind, metadata = self._started(record)
                 self._announce(name, kind, metadata)
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Yield the values of these entries, in the order of the file."""
-        live: dict[int, tuple[str, Callable[[int, int], Any]]] = {}
+        decoders: dict[int, tuple[str, Callable[[int, int], Any]]] = {}
         for record in self._records():
             if record.entry == 0:
-                control = self._data[record.begins]
+                control = self._data[record.payload_offset]
                 if control == START:
                     entry, name, kind, _ = self._started(record)
-                    live.pop(entry, None)
+                    decoders.pop(entry, None)
                     if name in topics:
-                        live[entry] = name, partial(self._decode, kind)
+                        decoders[entry] = name, partial(self._decode, kind)
                 elif control == FINISH:
-                    live.pop(self._number(record.begins + 1, 4, record.ends), None)
-            elif record.entry in live:
-                name, decode = live[record.entry]
-                ns = record.stamp_us * 1000
-                yield Message(name, ns, ns, partial(decode, record.begins, record.ends))
+                    decoders.pop(self._number(record.payload_offset + 1, 4, record.payload_end), None)
+            elif record.entry in decoders:
+                name, decode = decoders[record.entry]
+                stamp_ns = record.stamp_us * 1000
+                yield Message(name, stamp_ns, stamp_ns, partial(decode, record.payload_offset, record.payload_end))
 
     def _header(self) -> int:
-        """Check the header; returns the byte at which the first record begins."""
-        head = self._data[: len(MAGIC) + 6]
-        if not head.startswith(MAGIC):
+        """Check the header, and return the byte at which the first record begins."""
+        header = self._data[: len(MAGIC) + 6]
+        if not header.startswith(MAGIC):
             raise InputError(f"{self._path}: not a WPILib data log")
-        version, extra = struct.unpack_from("<HI", head.ljust(12, b"\0"), len(MAGIC))
+        version, extra_size = struct.unpack_from("<HI", header.ljust(12, b"\0"), len(MAGIC))
         if version >> 8 != MAJOR:
             raise InputError(f"{self._path}: data log of version {version >> 8}.{version & 0xFF}; {MAJOR} is read")
-        if len(head) + extra > len(self._data) or len(head) < len(MAGIC) + 6:
+        if len(header) + extra_size > len(self._data) or len(header) < len(MAGIC) + 6:
             raise InputError(f"{self._path}: truncated: it ends within its header")
-        return len(head) + int(extra)
+        return len(header) + int(extra_size)
 
     def _records(self) -> Iterator[WpiRecord]:
-        data, at, end = self._data, self._first, len(self._data)
-        while at < end:
-            lengths = data[at]
-            entry_at = at + 1
-            size_at = entry_at + (lengths & 3) + 1
-            stamp_at = size_at + (lengths >> 2 & 3) + 1
-            begins = stamp_at + (lengths >> 4 & 7) + 1
-            ends = begins + int.from_bytes(data[size_at:stamp_at], "little")
-            if begins > end or ends > end:
-                raise InputError(f"{self._path}: truncated: the record at byte {at} of {end} goes beyond the end")
-            entry = int.from_bytes(data[entry_at:size_at], "little")
-            stamp_us = int.from_bytes(data[stamp_at:begins], "little")
-            if lengths & 0x80 or (entry == 0 and begins == ends) or stamp_us > LATEST_US:
-                raise InputError(f"{self._path}: damaged: no record begins at byte {at}")
-            yield WpiRecord(entry, stamp_us, begins, ends)
-            at = ends
+        data, record_offset, end = self._data, self._first, len(self._data)
+        while record_offset < end:
+            length_bits = data[record_offset]
+            entry_offset = record_offset + 1
+            size_offset = entry_offset + (length_bits & 3) + 1
+            stamp_offset = size_offset + (length_bits >> 2 & 3) + 1
+            payload_offset = stamp_offset + (length_bits >> 4 & 7) + 1
+            payload_end = payload_offset + int.from_bytes(data[size_offset:stamp_offset], "little")
+            if payload_offset > end or payload_end > end:
+                raise InputError(
+                    f"{self._path}: truncated: the record at byte {record_offset} of {end} goes beyond the end"
+                )
+            entry = int.from_bytes(data[entry_offset:size_offset], "little")
+            stamp_us = int.from_bytes(data[stamp_offset:payload_offset], "little")
+            if length_bits & 0x80 or (entry == 0 and payload_offset == payload_end) or stamp_us > LATEST_US:
+                raise InputError(f"{self._path}: damaged: no record begins at byte {record_offset}")
+            yield WpiRecord(entry, stamp_us, payload_offset, payload_end)
+            record_offset = payload_end
 
     def _started(self, record: WpiRecord) -> tuple[int, str, str, str]:
         """Return the number, name, type and metadata of an entry that a control record starts."""
-        at = record.begins + 1
-        entry = self._number(at, 4, record.ends)
-        texts, at = [], at + 4
+        offset = record.payload_offset + 1
+        entry = self._number(offset, 4, record.payload_end)
+        texts, offset = [], offset + 4
         for _ in range(3):
-            length = self._number(at, 4, record.ends)
-            if length > LONGEST_TEXT or at + 4 + length > record.ends:
-                raise InputError(f"{self._path}: damaged: a text at byte {at} of {length} bytes")
-            texts.append(self._data[at + 4 : at + 4 + length].decode("utf-8", "replace"))
-            at += 4 + length
+            length = self._number(offset, 4, record.payload_end)
+            if length > LONGEST_TEXT or offset + 4 + length > record.payload_end:
+                raise InputError(f"{self._path}: damaged: a text at byte {offset} of {length} bytes")
+            texts.append(self._data[offset + 4 : offset + 4 + length].decode("utf-8", "replace"))
+            offset += 4 + length
         return entry, texts[0], texts[1], texts[2]
 
-    def _number(self, at: int, size: int, ends: int) -> int:
-        if at + size > ends:
-            raise InputError(f"{self._path}: damaged: a control record at byte {at} is cut short")
-        return int.from_bytes(self._data[at : at + size], "little")
+    def _number(self, offset: int, size: int, end: int) -> int:
+        if offset + size > end:
+            raise InputError(f"{self._path}: damaged: a control record at byte {offset} is cut short")
+        return int.from_bytes(self._data[offset : offset + size], "little")
 
     def _announce(self, name: str, kind: str, metadata: str) -> None:
         known_topic = self.topics.get(name)
@@ -144,8 +146,8 @@ class WpiLog:
         if not (known_topic and known_topic.unreadable):
             self.topics[name] = Topic(name, kind, reason, VALUE, units_named(metadata))
 
-    def _decode(self, kind: str, begins: int, ends: int) -> dict[str, Any]:
-        payload = self._data[begins:ends]
+    def _decode(self, kind: str, start: int, end: int) -> dict[str, Any]:
+        payload = self._data[start:end]
         if kind in TEXTS:
             return {VALUE: payload.decode("utf-8", "replace")}
         code = NUMBERS[kind.removesuffix("[]")]
