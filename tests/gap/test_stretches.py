@@ -137,7 +137,7 @@ def test_heaps_are_found_whatever_the_blocks_they_are_read_in(pair, monkeypatch,
     raw = path.read_bytes()[:40_000] + 3 * (b"\0" * 5 + text_heaps.HEAD)
     part = pair / "part.bin"
     part.write_bytes(raw)
-    monkeypatch.setattr(text_heaps, "BLOCK", size)
+    monkeypatch.setattr(text_heaps, "SEARCH_BYTES", size)
     with part.open("rb") as stream:
         found = list(text_heaps.heaps(stream))
     assert found == [at for at in range(len(raw)) if raw.startswith(text_heaps.HEAD, at)]
