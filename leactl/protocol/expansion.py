@@ -89,9 +89,9 @@ def _condition(timeline: Timeline, step: ProtocolStep) -> StepOutcome | InRange 
     possible_keys = ("quantity", "role", "below", "above", "unit")
     reading_keys = [key for key in possible_keys if getattr(content, key) is not None]
     if content.step is None and content.outcome is None:
-        missing = [key for key in ("quantity", "role", "unit") if key not in reading_keys]
-        if missing:
-            timeline.add_fault(step, missing[0], "is required and missing; or step and outcome of an earlier step")
+        missing_keys = [key for key in ("quantity", "role", "unit") if key not in reading_keys]
+        if missing_keys:
+            timeline.add_fault(step, missing_keys[0], "is required and missing; or step and outcome of an earlier step")
             return None
         return InRange(content.quantity or "", content.role or "", *bounds(timeline, step, content))
     if reading_keys:
@@ -113,6 +113,7 @@ def _condition(timeline: Timeline, step: ProtocolStep) -> StepOutcome | InRange 
 
 
 def _mode(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
+    """Write a `mode` step."""
     modes = {role: mode for role in ("test", "load") if (mode := getattr(step.content, role)) is not None}
     if not modes:
         timeline.add_fault(step, (), "a mode for test, load or both was expected")
@@ -123,6 +124,7 @@ def _mode(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
 
 
 def _set(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
+    """Write a `set` step as a hold without duration."""
     content: SetStep = step.content
     spelling = timeline.spelling(step, content.role, content)
     if spelling is not None:
@@ -132,6 +134,7 @@ def _set(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
 
 
 def _ramp(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
+    """Write a `ramp` step, whose duration is given or follows from its rate."""
     content: RampStep = step.content
     spelling = timeline.spelling(step, content.role, content)
     if spelling is None:
@@ -149,6 +152,7 @@ def _ramp(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
 
 
 def _hold(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
+    """Write a `hold` step; without a setpoint, every role keeps its own."""
     content: HoldStep = step.content
     timeline.check_times(step, ("settle_s", "duration_s"), content.duration_s, content.settle_s)
     times = content.duration_s, content.settle_s
@@ -173,11 +177,13 @@ def _hold(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
 def _hold_parameters(
     timeline: Timeline, role: str, spelling: Spelling, value: float, pass_number: int
 ) -> dict[str, float | str]:
+    """Return the parameters of a hold, and move the role's setpoint to its value."""
     direction = timeline.roles[role].move_to(value)
     return {spelling.setpoint: value, "direction": direction, "role": role, "repeat": pass_number}
 
 
 def _signal(timeline: Timeline, step: ProtocolStep, pass_number: int) -> None:
+    """Write a `signal` step; equal signals of a repeated step share their samples."""
     content: ProtocolSignal = step.content.in_pass(pass_number)
     spelling = timeline.spelling(step, content.role, content)
     setpoint_rate_hz = min(content.reference_Hz or math.inf, timeline.rate_hz)
@@ -238,12 +244,14 @@ def _samples(timeline: Timeline, step: ProtocolStep, content: Any, spelling: Spe
 
 
 def _wait_until(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
+    """Write a `wait_until` step."""
     content: WaitStep = step.content
     low, high = bounds(timeline, step, content)
     timeline.add(step, WaitUntil(content.quantity, content.role, low, high, content.timeout_s))
 
 
 def _record(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
+    """Write a `record` step; it is a fault if its rate does not divide the control rate."""
     rate_hz = step.content.rate_Hz
     if rate_hz and not divides(rate_hz, timeline.rate_hz):
         timeline.add_fault(
@@ -253,11 +261,13 @@ def _record(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
 
 
 def _tare(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
+    """Write a `tare` step, which takes one cycle for each sample."""
     timeline.add(step, Tare(step.content.samples))
     timeline.count_towards_limits(step, steps=0, duration_s=step.content.samples / timeline.rate_hz)
 
 
 def _supply(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
+    """Write a `supply` step."""
     outputs = step.content.outputs
     if not outputs:
         timeline.add_fault(step, (), "an output for test, load or both was expected")
@@ -267,6 +277,7 @@ def _supply(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
 
 
 def _prompt(timeline: Timeline, step: ProtocolStep, _pass_number: int) -> None:
+    """Write a `prompt` step."""
     if not step.content.isprintable():
         timeline.add_fault(step, (), "a text of one printable line was expected")
     timeline.add(step, Prompt(step.content))

@@ -65,6 +65,7 @@ def _known_durations() -> dict[str, dict[str, str | float]]:
 
 
 def _digest(path: Path) -> str:
+    """Return the SHA-256 of a file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 

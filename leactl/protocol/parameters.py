@@ -169,6 +169,7 @@ def substitute(document: Document, resolved: Resolved | None, faults: list[str])
     filled = Substituted(document.name, document.text, None, dict(document.places))
 
     def substituted(value: Any, keys: Location) -> Any:
+        """Return a value with every `$name` in it replaced."""
         if isinstance(value, dict):
             return {key: substituted(item, (*keys, key)) for key, item in value.items()}
         if isinstance(value, list):
@@ -178,8 +179,8 @@ def substitute(document: Document, resolved: Resolved | None, faults: list[str])
             return value
         name = reference[1]
         if name not in resolved.values:
-            known = ", ".join(f"${known}" for known in resolved.values) or "none"
-            faults.append(document.fault(keys, f"{value}: no such parameter; known: {known}"))
+            known_text = ", ".join(f"${parameter}" for parameter in resolved.values) or "none"
+            faults.append(document.fault(keys, f"{value}: no such parameter; known: {known_text}"))
             filled.record_use(keys, f"{value} {UNKNOWN_TEXT}", changed=False)
             return value
         filled.record_use(keys, f"{value} from {resolved.origins[name]}", resolved.changed(name))
@@ -195,6 +196,7 @@ def unused(document: Document) -> list[str]:
     """Return a line for each parameter that a protocol file defines and does not use."""
 
     def references_in(value: Any) -> set[str]:
+        """Return the names of the parameters that a value refers to."""
         if isinstance(value, dict | list):
             items = value.values() if isinstance(value, dict) else value
             return {name for item in items for name in references_in(item)}

@@ -473,6 +473,7 @@ _ACTION_NAMES: dict[type, str] = {
 
 
 def _profile_text(profile: SetpointProfile, mode: Mode) -> str:
+    """Return a setpoint profile as text with its unit."""
     unit = UNITS[SETPOINT_QUANTITY[mode]]
     if isinstance(profile, Ramp):
         return f"{profile.start:g} -> {profile.stop:g} {unit}"
@@ -482,6 +483,7 @@ def _profile_text(profile: SetpointProfile, mode: Mode) -> str:
 
 
 def _action_text(action: Action) -> str:
+    """Return the settings of an action that is no segment, as text; empty if it has none."""
     match action:
         case Engage(modes):
             return ", ".join(f"{role} {mode.value}" for role, mode in modes.items())

@@ -142,6 +142,7 @@ def expand_document(document: yamlfile.Document, folder: Path, overrides: Mappin
 
 
 def _head(document: Substituted, faults: list[str]) -> Head | None:
+    """Check the head of the file; if it has faults, add them and return None."""
     try:
         head = Head.model_validate(document.data)
     except ValidationError as error:
@@ -156,6 +157,7 @@ def _head(document: Substituted, faults: list[str]) -> Head | None:
 def _bounds(
     limit: ResultLimit | schema.ChannelLimit | BisectLimit,
 ) -> Acceptance | ChannelBounds | SearchLimit:
+    """Convert an acceptance limit of the file to one of the plan; an open bound becomes infinite."""
     low = -math.inf if limit.low is None else limit.low
     high = math.inf if limit.high is None else limit.high
     if isinstance(limit, ResultLimit):

@@ -67,6 +67,7 @@ class ProtocolSignal(Driven):
                 yield key, f"{value:g} Hz: {self._less_than_half(rate_hz)}"
 
     def _less_than_half(self, rate_hz: float) -> str:
+        """Return the text that a frequency below half the rate of the setpoints was expected."""
         name = "rate_Hz" if self.reference_Hz is None else "reference_Hz"
         return f"less than half of {name} ({rate_hz / 2:g} Hz) was expected"
 
@@ -203,6 +204,7 @@ class MultisineSignal(AmplitudeSignal):
             )
 
     def _frequencies(self) -> list[float]:
+        """Return the frequencies [Hz], as listed or evenly spaced."""
         if self.frequencies_Hz is not None:
             return list(self.frequencies_Hz)
         start_hz, stop_hz, count = self.from_Hz, self.to_Hz, self.count

@@ -44,6 +44,7 @@ Level = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1e4)]
 
 
 def _none_if_off(setting: Any) -> Any:
+    """Return None for the setting `off`, else the setting."""
     return None if setting == Mode.OFF.value else setting
 
 
@@ -315,6 +316,7 @@ def read(document: Substituted, raw: list[Any], keys: Location, faults: list[str
 
 
 def _read_step(document: Substituted, raw: Any, keys: Location, faults: list[str]) -> ProtocolStep:
+    """Check one step; if it has faults, add them and return the step without content."""
     kinds = ", ".join(sorted([*KINDS, "signal"]))
     if not isinstance(raw, Mapping) or len(raw) != 1:
         faults.append(document.fault(keys, f"a mapping of one key was expected, one of {kinds}"))

@@ -145,10 +145,10 @@ class Timeline:
                 value_text = f"{value:g}: " if isinstance(value, float) else ""
                 message = f"{value_text}{role} is in {mode} mode at this point; {key} was expected"
                 self.add_fault(step, (*path, wrong_key), message)
-            missing = stem in block.needs and not wrong_keys and getattr(block, key) is None
-            if missing:
+            is_missing = stem in block.needs and not wrong_keys and getattr(block, key) is None
+            if is_missing:
                 self.add_fault(step, (*path, key), f"is required and missing ({role} is in {mode} mode at this point)")
-            keys_fit = keys_fit and not wrong_keys and not missing
+            keys_fit = keys_fit and not wrong_keys and not is_missing
         return spelling if keys_fit else None
 
     def setpoint_before_ramp(self, step: ProtocolStep, role: str, keys: str | tuple[str | int, ...]) -> float | None:
