@@ -147,6 +147,7 @@ def _series(position: Array, values: Array, harmonics: int, grid_positions: Arra
     orders = 2.0 * np.pi * np.arange(1, harmonics + 1)
 
     def waves(positions: Array, order: int) -> Array:
+        """Return the terms of the series at positions, or their derivatives of an order, shape (n, terms)."""
         phases = np.outer(positions, orders) + 0.5 * np.pi * order
         constant = np.full((len(positions), 1), float(order == 0))
         return np.hstack([constant, orders**order * np.cos(phases), orders**order * np.sin(phases)])

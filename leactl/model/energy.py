@@ -210,6 +210,7 @@ class _RatioSweep:
         heat_per_torque_squared = self.resistance[row] / motor.torque_constant**2
 
         def heat(torque_part: Array) -> float:
+            """Return the Joule heat over a cycle [J] of a part of the torque."""
             return float(period * heat_per_torque_squared * np.mean(torque_part[row] * torque))
 
         power = heat_per_torque_squared * torque**2 + torque * speed

@@ -112,6 +112,7 @@ class Body(Block):
 
     @model_validator(mode="after")
     def _inner_below_outer(self) -> Self:
+        """Raise ValueError if the inner diameter is not below the outer one."""
         inner, outer = self.inner_diameter, self.outer_diameter
         if inner is not None and outer is not None and inner >= outer:
             raise ValueError(f"inner_diameter {inner:g} m is not below outer_diameter {outer:g} m")
@@ -119,6 +120,7 @@ class Body(Block):
 
     @model_validator(mode="after")
     def _density_below_limit(self) -> Self:
+        """Raise ValueError if the density exceeds `LARGEST_DENSITY`."""
         if self.mass is not None and self.outer_diameter is not None and self.length is not None:
             density = self.mass / (0.25 * math.pi * self.outer_diameter**2 * self.length)
             if density > LARGEST_DENSITY:

@@ -64,6 +64,7 @@ class LoadModel(Block):
 
     @model_validator(mode="after")
     def _fits_type(self) -> "LoadModel":
+        """Raise an error at a key that the type of load does not have, or lacks."""
         if self.type != "arm" and self.zero_angle:
             raise self.faulty([(("zero_angle",), f"is an arm's; a load of type {self.type} has none")])
         if self.type == "arm" and self.arm_mass:
@@ -120,6 +121,7 @@ class EffectEntry(Block):
 
     @model_validator(mode="after")
     def _known(self) -> "EffectEntry":
+        """Raise ValueError if the effect or one of its parameters is not known."""
         if self.effect not in effect_names():
             raise ValueError(f"effect '{self.effect}' is not known; known: {', '.join(effect_names())}")
         parameter_names = effect_definition(self.effect).parameters

@@ -84,13 +84,13 @@ def align_record(record: FileRecord, clock: RecordClock, run: Run) -> AlignedRec
     alignment = alignment_of(record, clock, run)
     time = alignment.on_run(record.time)
     end = max((float(run.time(name)[-1]) for name, rows in run.rows.items() if rows), default=0.0)
-    inside = (time >= 0.0) & (time <= end)
-    if inside.sum() < FEWEST_ROWS:
+    is_inside = (time >= 0.0) & (time <= end)
+    if is_inside.sum() < FEWEST_ROWS:
         raise InputError(
             f"{record.files[0]}: a record of another time: on the run's clock it goes from {time[0]:.6g} to"
             f" {time[-1]:.6g} s, and the run from 0 to {end:.6g} s"
         )
-    return AlignedRecord(record, alignment, time[inside], record.values[inside], int(len(time) - inside.sum()))
+    return AlignedRecord(record, alignment, time[is_inside], record.values[is_inside], int(len(time) - is_inside.sum()))
 
 
 def alignment_of(record: FileRecord, clock: RecordClock, run: Run) -> Alignment:

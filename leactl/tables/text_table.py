@@ -305,8 +305,8 @@ def missing_headings(lines: Sequence[str], candidates: Sequence[str], wanted: Se
         rows, key=lambda cells: (sum(bool(column_names(cell) & {*wanted}) for cell in cells), len(cells)), default=[]
     )
     present = ", ".join(map(repr, most_similar[:40])) or "no line that looks like headings"
-    missing = [repr(name) for name in wanted if all(name not in column_names(cell) for cell in most_similar)]
-    return f"no line has the headings {', '.join(missing)}; the file has {present}"
+    missing_names = [repr(name) for name in wanted if all(name not in column_names(cell) for cell in most_similar)]
+    return f"no line has the headings {', '.join(missing_names)}; the file has {present}"
 
 
 def read_rows(table: Table, lines: Sequence[str], lines_before: int, delimiter: str, every_row: bool) -> None:

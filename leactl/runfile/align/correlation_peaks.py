@@ -44,11 +44,12 @@ def peaks(
     coarse_step = max(*intervals, (time[-1] - time[0] + reference_time[-1] - reference_time[0]) / MOST_STEPS)
 
     def peak(shift: float, stride: int = 1) -> SimilarityPeak:
+        """Return the correlation at a shift [s], from every `stride`-th sample of the channel."""
         shifted, samples = time[::stride] + shift, values[::stride]
-        inside = (shifted >= reference_time[0]) & (shifted <= reference_time[-1])
-        if inside.sum() < FEWEST_COMMON_SAMPLES:
+        is_inside = (shifted >= reference_time[0]) & (shifted <= reference_time[-1])
+        if is_inside.sum() < FEWEST_COMMON_SAMPLES:
             return SimilarityPeak(shift, -1.0, 0.0)
-        channel, reference_values = samples[inside], np.interp(shifted[inside], reference_time, reference)
+        channel, reference_values = samples[is_inside], np.interp(shifted[is_inside], reference_time, reference)
         spread = float(np.std(channel) * np.std(reference_values))
         correlation = (
             float(np.mean((channel - channel.mean()) * (reference_values - reference_values.mean()))) / spread
@@ -56,7 +57,7 @@ def peaks(
             else -1.0
         )
         return SimilarityPeak(
-            shift, correlation, max(correlation, 0.0) ** 2 * float(np.var(channel) * inside.sum() * stride)
+            shift, correlation, max(correlation, 0.0) ** 2 * float(np.var(channel) * is_inside.sum() * stride)
         )
 
     refined_peaks = []
@@ -104,6 +105,7 @@ def shifts_of_peaks(
     is_searched = np.abs(shifts - near) <= within
 
     def summed(reference_signal: Array, channel_signal: npt.NDArray[Any]) -> Array:
+        """Return the sum of the products of a reference signal and a channel signal at each searched shift."""
         sums: Array = correlate(reference_signal, channel_signal, "full", "fft")[is_searched]
         return sums
 

@@ -126,6 +126,7 @@ def misfit(channel: tuple[Array, Array], reference: tuple[Array, Array], better:
         return 0.0
 
     def regressors_at(stamps: Array) -> Array:
+        """Return the reference at stamps on the run's clock, beside a column of ones, shape (n, 2)."""
         return np.stack([np.interp(stamps, reference_time, reference_values), np.ones(len(stamps))], axis=1)
 
     observed = values[is_common]
@@ -181,27 +182,27 @@ def align_by_similarity(
         )
     # a short part of a record may fit by chance; if it fits better than the whole record, neither is certain
     most_explained = max(peak.explained_squares for peak in candidates if peak.correlation >= LEAST_CORRELATION)
-    best = next(peak for peak in candidates if peak.explained_squares >= LEAST_EXPLAINED_SHARE * most_explained)
-    method = f"likeness of {channels_text} ({best.correlation:.3f})"
-    alignment = align_near(channel, reference, best.shift, method, drift_within, systematic)
-    for rival in candidates:
-        is_long = rival.explained_squares >= LEAST_EXPLAINED_SHARE * most_explained
+    best_peak = next(peak for peak in candidates if peak.explained_squares >= LEAST_EXPLAINED_SHARE * most_explained)
+    method = f"likeness of {channels_text} ({best_peak.correlation:.3f})"
+    alignment = align_near(channel, reference, best_peak.shift, method, drift_within, systematic)
+    for rival_peak in candidates:
+        is_long = rival_peak.explained_squares >= LEAST_EXPLAINED_SHARE * most_explained
         if (
-            rival is best
-            or is_at_end_of_search(rival, within_s, near_s)
-            or not (is_long or rival.correlation >= LEAST_CORRELATION)
+            rival_peak is best_peak
+            or is_at_end_of_search(rival_peak, within_s, near_s)
+            or not (is_long or rival_peak.correlation >= LEAST_CORRELATION)
         ):
             continue
-        alternative = align_near(channel, reference, rival.shift, method, drift_within, systematic)
+        alternative = align_near(channel, reference, rival_peak.shift, method, drift_within, systematic)
         is_equally_good = misfit(channel, reference, alignment, alternative) <= REJECTION_STDS
         if is_equally_good if is_long else misfit(channel, reference, alternative, alignment) > REJECTION_STDS:
             raise InputError(
-                f"{channels_text} are as alike at {best.shift:.6g} s as at {rival.shift:.6g} s; a smaller within_s"
-                " around the true one (near_s), or another signal, decides"
+                f"{channels_text} are as alike at {best_peak.shift:.6g} s as at {rival_peak.shift:.6g} s;"
+                " a smaller within_s around the true one (near_s), or another signal, decides"
             )
-    if is_at_end_of_search(best, within_s, near_s):
+    if is_at_end_of_search(best_peak, within_s, near_s):
         raise InputError(
-            f"{channels_text} are likest at {best.shift:.6g} s, where the search ends; expected a peak before that"
+            f"{channels_text} are likest at {best_peak.shift:.6g} s, where the search ends; expected a peak before that"
         )
     if not alignment.ties:
         raise InputError(f"{channels_text} change too little beside their noise to tell when")

@@ -93,6 +93,7 @@ def moment_of(created: str) -> datetime | None:
 
 
 def _utc(moment: datetime) -> datetime:
+    """Return a moment in UTC; a moment without a zone is taken as UTC."""
     return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
 
 
@@ -123,6 +124,7 @@ class _Parser:
             raise self._fault(f"is no expression: {fault}") from None
 
     def _test(self, node: ast.expr) -> Test:
+        """Return the test of runs that a node stands for: a connective, a comparison, or `like`."""
         match node:
             case ast.BoolOp(ast.And(), values):
                 tests = [self._test(value) for value in values]
@@ -252,6 +254,7 @@ class _Parser:
         raise self._fault(f"{self._source(node)} stands where a name, a text, a number or a list of those was expected")
 
     def _name(self, name: str, node: ast.expr) -> NamedValue:
+        """Return the attribute of a run, or the parameter, that a name stands for."""
         if name == "created":
             return NamedValue(name, MOMENT, lambda run: moment_of(run.created))
         if name == "tags":
@@ -291,11 +294,13 @@ class _Parser:
 
 
 def _shortened(text: str) -> str:
+    """Return a text on one line, cut to `MOST_CHARACTERS_SHOWN` characters."""
     line = " ".join(text.split())
     return line if len(line) <= MOST_CHARACTERS_SHOWN else f"{line[:MOST_CHARACTERS_SHOWN]} ..."
 
 
 def _parameter(name: str) -> NamedValue:
+    """Return the value of a protocol's parameter, by its name."""
     return NamedValue(name, "", lambda run: run.parameters.get(name))
 
 
@@ -312,6 +317,7 @@ def _compared(compare: Callable[[Any, Any], bool], value: Any, other_value: Any)
 
 
 def _contains(value: Any, container: Any) -> bool:
+    """Return whether a text contains a text, or a list a value."""
     if isinstance(container, str):
         return isinstance(value, str) and value in container
     return isinstance(container, list | tuple) and value in container

@@ -164,6 +164,7 @@ def stamps_of(directory: Path) -> dict[str, FileStamp]:
 
 
 def _file_stamp(entry: "os.DirEntry[str]") -> FileStamp:
+    """Return the status of a file; `NOT_THERE` for a link without target."""
     try:
         status = entry.stat()
     except OSError:
@@ -173,6 +174,7 @@ def _file_stamp(entry: "os.DirEntry[str]") -> FileStamp:
 
 
 def _summaries(directory: Path, names: Sequence[str]) -> list[Summary]:
+    """Return the summaries of files of a folder, without tags."""
     from leactl.runfile.catalog.summaries import (
         summary,  # h5py, which takes a tenth of a second, only where a file is opened
     )

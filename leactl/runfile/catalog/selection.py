@@ -43,6 +43,7 @@ class Selection:
         return meets_criteria and all(test(run) for test in self.tests)
 
     def _in_time(self, created: str) -> bool:
+        """Return whether a run was created between `since` and `until`; with either, an unreadable time was not."""
         if self.since is None and self.until is None:
             return True
         if (moment := moment_of(created)) is None:

@@ -151,8 +151,8 @@ def reading(path: Path, hdf5_path: str = "") -> Iterator[None]:
     try:
         yield
     except DAMAGE as fault:
-        where = f"{path}: {hdf5_path}" if hdf5_path else f"{path}"
-        raise InputError(f"{where}: {damage_text(fault)}") from fault
+        location = f"{path}: {hdf5_path}" if hdf5_path else f"{path}"
+        raise InputError(f"{location}: {damage_text(fault)}") from fault
 
 
 def damage_text(fault: Exception) -> str:

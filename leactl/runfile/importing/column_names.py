@@ -165,7 +165,7 @@ def without_unit(name: str) -> str:
 def units_in_brackets(name: str) -> str:
     """Return the unit in brackets at the end of a name; empty if the brackets contain no unit, such as an index."""
     units = unit_of(name)
-    if any(units.lower() in known for known in ALIASES.values()):
+    if any(units.lower() in aliases for aliases in ALIASES.values()):
         return units
     return UNITS_BY_LETTERS.get(re.sub(r"[*.· ]", "", units), "")
 
@@ -215,7 +215,7 @@ def shaft_of(name: str) -> frozenset[str]:
         "value",
         "measured",
         "actual",
-        *(alias for known in ALIASES.values() for alias in known),
+        *(alias for aliases in ALIASES.values() for alias in aliases),
     }
     return frozenset(words_of(name)) - words_of_meaning
 

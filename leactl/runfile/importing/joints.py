@@ -36,8 +36,8 @@ def joints_of(path: Path, mapping: Mapping, tables: Sequence[ListedTable], docum
         joint for table in tables if not joint_records or table.records in joint_records for joint in table.joints
     ]
     if not joints:
-        where = ", ".join(sorted(map(str, joint_records))) or "its columns"
-        raise InputError(document.fault(("joints",), f"{path}: lists no joints in {where}; give their names"))
+        records_text = ", ".join(sorted(map(str, joint_records))) or "its columns"
+        raise InputError(document.fault(("joints",), f"{path}: lists no joints in {records_text}; give their names"))
     return list(dict.fromkeys(joints))
 
 

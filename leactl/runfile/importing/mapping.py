@@ -68,6 +68,7 @@ class TimeBase(Block):
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
+        """Raise ValueError unless exactly one source of stamps is given; `start_s` does not go with a column."""
         given_keys = [key for key in ("column", "rate_Hz", "step_s") if getattr(self, key) is not None]
         if len(given_keys) != 1:
             raise ValueError(f"give one of column, rate_Hz, step_s; {' and '.join(given_keys) or 'none'} is given")
@@ -84,6 +85,7 @@ class StreamClock(Block):
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
+        """Raise ValueError unless either an offset or an estimate is given."""
         if (self.offset_s is None) == (self.estimate is None):
             raise ValueError("give either offset_s or estimate")
         return self
@@ -108,12 +110,14 @@ class ChannelMapping(Block):
     @field_validator("quantity")
     @classmethod
     def _known_quantity(cls, value: str) -> str:
+        """Return the quantity; raise ValueError if it is not in the vocabulary."""
         if value not in UNITS:
             raise ValueError(f"no such quantity; known: {', '.join(UNITS)}")
         return value
 
     @model_validator(mode="after")
     def _scale_std_is_used(self) -> Self:
+        """Raise an error at `scale_std` if no analysis uses it for this quantity."""
         if self.scale_std and UNITS.get(self.quantity) not in CALIBRATED_UNITS:
             raise self.faulty(
                 [(("scale_std",), f"counts for {', '.join(CALIBRATED_UNITS)}; nothing reads that of {self.quantity}")]
@@ -122,6 +126,7 @@ class ChannelMapping(Block):
 
     @model_validator(mode="after")
     def _units_fit_quantity(self) -> Self:
+        """Raise ValueError if the units do not convert to those of the quantity."""
         if self.units is not None and converter(self.units, self.quantity) is None:
             raise ValueError(f"units {self.units!r} are none of {', '.join(known_units(self.quantity))}")
         return self
@@ -145,6 +150,7 @@ class PartMapping(Block):
 
     @model_validator(mode="after")
     def _one_range(self) -> Self:
+        """Raise ValueError unless exactly one range is given, and its ends are in order."""
         if (self.rows is None) == (self.time_s is None):
             raise ValueError("give either rows or time_s")
         first, last = self.rows or self.time_s or (0, 0)
@@ -171,6 +177,7 @@ class StepAt(Block):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
+        """Raise ValueError if the step does not stop after its settle time."""
         if not self.start_s + self.settle_s < self.stop_s:
             raise ValueError(f"start_s {self.start_s:g} and settle_s {self.settle_s:g} are not before {self.stop_s:g}")
         return self
@@ -189,6 +196,7 @@ class StepsByColumn(Block):
     @field_validator("names")
     @classmethod
     def _labels_differ(cls, names: dict[str, str]) -> dict[str, str]:
+        """Return the names by label; raise ValueError if two keys are the same label."""
         names_by_label: dict[str, str] = {}
         for text, name in names.items():
             if (label := as_label(text)) in names_by_label:
@@ -208,6 +216,7 @@ class StepsByHolds(Block):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
+        """Raise ValueError if the settle time is not shorter than the shortest hold."""
         if not self.settle_s < self.least_s:
             raise ValueError(f"settle_s {self.settle_s:g} leaves nothing of a hold of least_s {self.least_s:g}")
         return self
@@ -245,11 +254,13 @@ class Mapping(Block):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        """Raise an error with the locations of all keys that contradict each other."""
         if faults := [*self._faults_of_parts(), *self._faults_of_steps(), *self._faults_of_channels()]:
             raise self.faulty(faults)
         return self
 
     def _faults_of_parts(self) -> Iterator[tuple[Location, str]]:
+        """Yield location and message of each fault of `parts` and `by_direction`."""
         if self.parts and self.by_direction:
             yield ("by_direction",), "stands beside parts; one of both was expected"
         suffixes = [part.suffix for part in self.parts]
@@ -260,6 +271,7 @@ class Mapping(Block):
                 yield ("parts", index, "rows"), "rows mean nothing to several streams; time_s was expected"
 
     def _faults_of_steps(self) -> Iterator[tuple[Location, str]]:
+        """Yield location and message of each fault of the settings that define steps."""
         given_keys = [name for name in ("steps", "steps_by_column", "steps_by_holds") if getattr(self, name)]
         for name in given_keys[1:]:
             yield (name,), f"stands beside {given_keys[0]}; one way to find steps was expected"
@@ -276,6 +288,7 @@ class Mapping(Block):
             yield ("steps_by_column", "stream"), f"no stream {label_settings.stream!r} is mapped; {stream_names} are"
 
     def _faults_of_channels(self) -> Iterator[tuple[Location, str]]:
+        """Yield location and message of each channel that is mapped twice or referred to without being mapped."""
         references: list[tuple[Location, str]] = []
         if self.by_direction:
             references.append((("by_direction", "channel"), self.by_direction.channel))

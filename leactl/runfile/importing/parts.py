@@ -29,13 +29,15 @@ def split_recording(path: Path, streams: Streams, mapping: Mapping, document: Do
     faults, runs = [], []
     for index, part in enumerate(mapping.parts):
         if part.rows is not None:
-            first, last = part.rows
-            part_streams = {name: stream.rows(first, last) for name, stream in streams.items()}
-            is_within_recording = last <= min(len(stream.time) for stream in streams.values())
+            start_row, stop_row = part.rows
+            part_streams = {name: stream.rows(start_row, stop_row) for name, stream in streams.items()}
+            is_within_recording = stop_row <= min(len(stream.time) for stream in streams.values())
         else:
-            begin, end = part.time_s or (0.0, 0.0)
-            part_streams = cut_to(streams, begin, end)
-            is_within_recording = end <= max(float(stream.time[-1]) for stream in streams.values()) * (1 + 1e-9) + 1e-9
+            start_s, stop_s = part.time_s or (0.0, 0.0)
+            part_streams = cut_to(streams, start_s, stop_s)
+            is_within_recording = (
+                stop_s <= max(float(stream.time[-1]) for stream in streams.values()) * (1 + 1e-9) + 1e-9
+            )
         if not is_within_recording or any(len(stream.time) < 2 for stream in part_streams.values()):
             rows = ", ".join(f"{n} {len(s.time)} rows, {s.time[-1]:.6g} s" for n, s in streams.items())
             faults.append(document.fault(("parts", index), f"{path}: reaches beyond the recording ({rows})"))
@@ -52,11 +54,11 @@ def by_direction(path: Path, streams: Streams, settings: ByDirection, document: 
     stream = streams[name]
     runs: list[tuple[str, Streams]] = []
     counts = {"forward": 0, "reverse": 0}
-    for first, last, is_forward in sweeps(stream.channel(channel), settings.least):
+    for first, after, is_forward in sweeps(stream.channel(channel), settings.least):
         direction = "forward" if is_forward else "reverse"
         counts[direction] += 1
         suffix = direction if counts[direction] == 1 else f"{direction}-{counts[direction]}"
-        end = stream.time[last - 1] + 0.5 * (stream.time[last - 1] - stream.time[last - 2])
+        end = stream.time[after - 1] + 0.5 * (stream.time[after - 1] - stream.time[after - 2])
         runs.append((suffix, from_zero(cut_to(streams, float(stream.time[first]), float(end)))))
     if not runs:
         message = f"{path}: {settings.channel} never travels {settings.least:g} in one direction"

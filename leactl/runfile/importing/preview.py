@@ -60,8 +60,8 @@ def preview_lines(run: dict[str, Any]) -> Iterator[str]:
         yield f"  stream {name}: {stream['rows']} rows, {span}{'; ' * bool(stream['aligned'])}{stream['aligned']}"
         for channel in stream["channels"]:
             numbers = "no number" if channel["low"] is None else f"{channel['low']:.6g} .. {channel['high']:.6g}"
-            missing = f", {channel['missing']} missing" if channel["missing"] else ""
-            summary = f"{numbers} {channel['units']}{missing}"
+            missing_text = f", {channel['missing']} missing" if channel["missing"] else ""
+            summary = f"{numbers} {channel['units']}{missing_text}"
             yield f"    {channel['name']:<12} {channel['role']:<6} {channel['quantity']:<26} {summary}"
     yield f"  {len(run['steps'])} steps"
     for step in run["steps"]:

@@ -43,11 +43,11 @@ class Stream:
         """Return the specification of one channel."""
         return next(spec for spec in self.specs if spec.name == name)
 
-    def rows(self, first: int, last: int) -> "Stream":
-        """Return the rows `first` to `last` (excluded)."""
-        labels = self.labels[first:last] if self.labels is not None else None
-        columns = [column[first:last] for column in self.values]
-        return Stream(self.time[first:last], self.specs, columns, self.aligned, labels)
+    def rows(self, start: int, stop: int) -> "Stream":
+        """Return the rows `start` to `stop` (excluded)."""
+        labels = self.labels[start:stop] if self.labels is not None else None
+        columns = [column[start:stop] for column in self.values]
+        return Stream(self.time[start:stop], self.specs, columns, self.aligned, labels)
 
 
 def build_streams(source: LogSource, mapping: Mapping, document: Document) -> dict[str, Stream]:

@@ -283,16 +283,19 @@ class Run:
         self.close()
 
     def _find(self, quantity: str, role: str) -> list[tuple[str, ChannelSpec]]:
+        """Return stream and specification of each channel of this quantity and role."""
         all_specs = ((stream, spec) for stream, specs in self.streams.items() for spec in specs)
         return [(stream, spec) for stream, spec in all_specs if (spec.quantity, spec.role) == (quantity, role)]
 
     def _contents(self) -> str:
+        """Return the quantities and roles that the run has, as text for a message."""
         descriptions = {
             f"{spec.quantity} of {spec.role}" for specs in self.streams.values() for spec in specs if spec.quantity
         }
         return ", ".join(sorted(descriptions)) or "no channel"
 
     def _read(self, stream: str, spec: ChannelSpec) -> Channel:
+        """Return all rows of a channel."""
         return self.section(stream, spec, 0, self.rows[stream])
 
     def section(self, stream: str, spec: ChannelSpec, start: int, stop: int) -> Channel:
@@ -319,11 +322,18 @@ class Run:
         )
 
     def _column(self, stream: str, name: str, start: int, stop: int) -> npt.NDArray[Any]:
+        """Return the rows `start` to `stop` (excluded) of a column in its stored type."""
         with reading(self.path, f"/streams/{stream}/{name}"):
             values: npt.NDArray[Any] = self._streams[stream][name][start:stop]
         return values
 
     def _parameters(self, index: int, text: str) -> dict[str, Any]:
+        """Parse the parameters of the step with this index.
+
+        Raises
+        ------
+        InputError : the text is not a JSON object.
+        """
         try:
             parameters = json.loads(text or "{}")
         except (ValueError, RecursionError):  # RecursionError for thousands of nested brackets

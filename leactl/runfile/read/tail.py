@@ -104,6 +104,7 @@ class RunTail:
         return [rows for rows in added_rows if len(rows)]
 
     def _note_status(self, run: Run) -> None:
+        """Store the run's status, and the reason on one line."""
         self._status = run.status
         self._reason = " ".join(str(run.attributes.get("status_reason", "")).split())
 
@@ -113,6 +114,7 @@ class RunTail:
         return names.issuperset(spec.name for spec in self._channels[stream]) and run.rows[stream] >= self._next[stream]
 
     def _rows_of(self, run: Run, stream: str) -> StreamRows:
+        """Return the rows of a stream since the last call, and note that they were read."""
         start, stop = self._next[stream], run.rows[stream]
         self._next[stream] = stop
         channels = self._channels[stream]

@@ -185,8 +185,8 @@ def recover(path: Path) -> Path:
     file, live = open_run_file(path)
     with file, reading(path):
         streams = file.get("streams", {})
-        uneven = faults_of_streams(streams, unfinished=False)
-        if not (live or uneven or layout.to_python(file.attrs.get("status", "")) == RECORDING):
+        stream_faults = faults_of_streams(streams, unfinished=False)
+        if not (live or stream_faults or layout.to_python(file.attrs.get("status", "")) == RECORDING):
             raise InputError(f"{path}: the recording ended in order; there is nothing to recover")
         if faults := faults_of_streams(streams, unfinished=True):
             raise InputError([f"{path}: {fault}" for fault in faults])

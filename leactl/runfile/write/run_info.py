@@ -68,7 +68,7 @@ def faults_of_channel(channel_path: str, spec: ChannelSpec) -> list[str]:
     """Return one line for each fault of a channel's name, quantity, unit, role, sampling or data type."""
     faults = []
     if (
-        any(not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", part) for part in channel_path.split("/"))
+        any(not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", name) for name in channel_path.split("/"))
         or "/" in spec.name  # it would be a group of its own in the file
         or spec.name == "time"
     ):

@@ -111,6 +111,7 @@ class RunWriter:
         self._add_row("events", row)
 
     def _add_row(self, table: str, row: dict[str, Any]) -> None:
+        """Add a row to a table in memory, and pass it to the table's listener."""
         self._tables[table].append(row)
         if table in self.heard:
             self.heard[table](row)
@@ -157,6 +158,7 @@ class RunWriter:
                 error.add_note(str(close_error))
 
     def _write_pending(self) -> None:
+        """Write the rows since the last call to the live file."""
         self._wait_for_disk()
         pending_tables = {name: rows[self._tables_written[name] :] for name, rows in self._tables.items()}
         buffered = {name: buffer.take() for name, buffer in self._buffers.items()}
@@ -210,6 +212,7 @@ class RunWriter:
             raise
 
     def _repack(self, status: str, reason: str) -> None:
+        """Replace the live file by the compressed one, with status, reason and checksums."""
         trim(self.path)
         with h5py.File(self.path, "r") as live, replacement(self.path) as target:
             repack(live, target, status=status, reason=reason, row_counts=self._written, tables=self._tables)

@@ -67,10 +67,10 @@ class ProposedChannel:
     is_settled: bool = False  # whether a person has answered or has to answer, so that values decide nothing more
     values: list[Array] = field(default_factory=list)
 
-    def decide(self, units: str, why: str) -> None:
+    def decide(self, units: str, reason: str) -> None:
         """Decide on one unit, with the reason."""
         self.units = (units,)
-        self.why.append(why)
+        self.why.append(reason)
 
 
 @dataclass
@@ -208,8 +208,8 @@ def time_of(surveyed: SurveyedTable) -> tuple[ListedColumn | None, tuple[str, ..
     for column, _ in columns:
         units = column.units or meaning_of(str(column.name)).units
         if units in SECONDS:
-            where = f"in {column.declared_by}" if column.units else "in its name"
-            return column, (units,), f"{units} stands {where}"
+            location_text = f"in {column.declared_by}" if column.units else "in its name"
+            return column, (units,), f"{units} stands {location_text}"
     if columns:
         column, values = columns[0]
         likely_units, reason = units_of_time(values)

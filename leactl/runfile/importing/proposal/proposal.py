@@ -132,8 +132,8 @@ def mapping_text(surveyed: Survey, streams: list[ProposedStream], answers: Answe
         for name, channel in stream.channels.items():
             lines.append(f"      # {one_line('; '.join(channel.why))}")
             lines.append(f"      {name}: {{{', '.join(keys_of(channel))}}}{alternatives(channel)}")
-        for column, why in stream.left_out.items():
-            lines.append(f"      # {one_line(str(column))}: left out, {one_line(why)}")
+        for column, reason in stream.left_out.items():
+            lines.append(f"      # {one_line(str(column))}: left out, {one_line(reason)}")
     return "\n".join(lines) + "\n"
 
 

@@ -81,7 +81,7 @@ def tables_of(path: Path, name: str) -> tuple[CsvForm, list[ListedTable]]:
     ------
     InputError : it has no table of numbers.
     """
-    best: tuple[CsvForm, list[ListedTable]] = CsvForm(), []
+    best_reading: tuple[CsvForm, list[ListedTable]] = CsvForm(), []
     faults: list[str] = []
     for form in csv_forms(declared_delimiter(path)) if name == "csv" else [CsvForm()]:
         try:
@@ -89,11 +89,11 @@ def tables_of(path: Path, name: str) -> tuple[CsvForm, list[ListedTable]]:
         except InputError as fault:
             faults += fault.faults
             continue
-        if column_counts(tables) > column_counts(best[1]):
-            best = form, tables
-    if not any(table.columns for table in best[1]):
+        if column_counts(tables) > column_counts(best_reading[1]):
+            best_reading = form, tables
+    if not any(table.columns for table in best_reading[1]):
         raise InputError(faults[:1] or f"{path}: no table of numbers that a mapping could take")
-    return best
+    return best_reading
 
 
 def declared_delimiter(path: Path) -> str:

@@ -142,6 +142,7 @@ class MessageSource:
         return [table for name, samples in self._samples.items() for table in _tables(self._log.topics[name], samples)]
 
     def _survey(self) -> None:
+        """Keep the first messages of each readable topic, from which its fields and joints are listed."""
         readable = {name for name, topic in self._log.topics.items() if not topic.unreadable}
         for message in self._log.messages(readable):
             samples = self._samples.setdefault(message.topic, [])
@@ -149,6 +150,7 @@ class MessageSource:
                 samples.append(self._decoded(message))
 
     def _read(self) -> None:
+        """Collect the requested columns in one pass through the log, and note when the recording began."""
         by_topic: dict[str, list[tuple[ColumnPath, _CollectedColumn]]] = {}
         for path, column in self._columns.items():
             by_topic.setdefault(path.topic, []).append((path, column))
@@ -166,6 +168,12 @@ class MessageSource:
             self.began = datetime.fromtimestamp(earliest_ns * 1e-9, UTC)
 
     def _decoded(self, message: Message) -> Any:
+        """Decode a message.
+
+        Raises
+        ------
+        InputError : the message is damaged.
+        """
         try:
             return message.decode()
         except Exception as error:  # noqa: BLE001 (decoders raise any exception for damaged bytes)
@@ -177,6 +185,7 @@ class MessageSource:
     def _put_value(
         self, column: "_CollectedColumn", path: ColumnPath, message: Message, tree: Any, names: Names
     ) -> None:
+        """Add the value at a path in a message to its column; a message that lacks it becomes the column's error."""
         if column.error:
             return
         try:
@@ -189,10 +198,16 @@ class MessageSource:
                 value = self._value(tree, path, message, names)
             column.put(value, message.log_ns)
         except MissingColumn as error:
-            where = f"{self.path}: {message.topic} message {self._counts[message.topic] - 1}"
-            column.error, column.rows = f"{where} {error}", column.rows + 1
+            location = f"{self.path}: {message.topic} message {self._counts[message.topic] - 1}"
+            column.error, column.rows = f"{location} {error}", column.rows + 1
 
     def _value(self, tree: Any, path: ColumnPath, message: Message, names: Names) -> Any:
+        """Return the value at a path in a message; stamps become seconds since the first message of the log.
+
+        Raises
+        ------
+        MissingColumn : a field of the path is missing.
+        """
         assert self._first_ns is not None
         if path.steps in RECORDER and _child(tree, path.steps[0]) is None:
             return ((message.log_ns if path.steps == RECORDER[0] else message.publish_ns) - self._first_ns) * 1e-9
@@ -233,6 +248,12 @@ class MessageSource:
         return ColumnPath(topic, joint, steps)
 
     def _topic(self, text: str) -> str:
+        """Return the longest name of a topic with which a path begins.
+
+        Raises
+        ------
+        MissingColumn : the log has no such topic.
+        """
         matches = [name for name in self._log.topics if text == name or text.startswith((f"{name}.", f"{name}["))]
         if not matches:
             topics_text = ", ".join(sorted(self._log.topics)) or "none"
@@ -240,6 +261,7 @@ class MessageSource:
         return max(matches, key=len)
 
     def _empty_column_text(self, path: ColumnPath) -> str:
+        """Return the reason why a column has no row."""
         if path.joint is not None and self._counts[path.topic]:
             return f"no message of {path.topic} names {path.joint!r}"
         return f"topic {path.topic} has no message"
@@ -279,6 +301,7 @@ class _CollectedColumn:
 
 
 def _step(match: re.Match[str]) -> str | int:
+    """Return one step of a path: a field's name, an index, or a name in brackets."""
     bracketed = match[2]
     return match[1] if bracketed is None else int(bracketed) if bracketed.isdigit() else bracketed
 
@@ -318,6 +341,12 @@ def _names(tree: Any) -> Names:
 
 
 def _index_of(joint: str, names: Names) -> int | None:
+    """Return the index of a joint in a message's list of names; None if the list lacks it.
+
+    Raises
+    ------
+    MissingColumn : the message has no list of names.
+    """
     if names is None:
         raise MissingColumn(f"has no list of names ({', '.join(NAMES)}) that could have {joint!r}")
     return names.index(joint) if joint in names else None
@@ -348,6 +377,7 @@ def _nanoseconds(node: Any) -> int | None:
 
 
 def _described(value: Any) -> str:
+    """Describe a value that is no number, for a message."""
     if isinstance(value, str):
         return f"the text {value[:40]!r}"
     if isinstance(value, Sequence | np.ndarray):

@@ -64,6 +64,7 @@ class RosTypes:
         return store.deserialize_cdr(data, kind)
 
     def _registration_failure(self, kind: str, encoding: str, text: bytes) -> str:
+        """Register a type and the types that it uses; return why that failed, else ""."""
         from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
         if encoding not in ("ros2msg", "ros2idl"):

@@ -75,12 +75,18 @@ class TreeSource:
         return tables
 
     def _indexed(self, base: Any, index: int, records: str | None) -> Any:
-        where = records or "the file"
+        """Return a column of a matrix by its index.
+
+        Raises
+        ------
+        MissingColumn : the node is not a matrix, or has no such column.
+        """
+        location = records or "the file"
         if isinstance(base, np.ndarray) and base.ndim == 2 and 0 <= index < base.shape[1]:
             return base[:, index]
         if isinstance(base, list) and base and all(isinstance(row, list) and 0 <= index < len(row) for row in base):
             return [row[index] for row in base]
-        raise MissingColumn(f"{self.path}: {where} has no column {index}; it is {_described(base)}")
+        raise MissingColumn(f"{self.path}: {location} has no column {index}; it is {_described(base)}")
 
     def _walk(self, node: Any, path: str, is_column: bool = False) -> Any:
         """Return the node at a path; the last index of a column selects one of a matrix with samples as rows."""
@@ -95,32 +101,47 @@ class TreeSource:
             count = next((number for number in range(len(keys), 1, -1) if _has_key(node, keys[number - 1])), 1)
             is_index = count == 1 and steps[position][2] is not None
             key = int(steps[position][2]) if is_index else keys[count - 1]
-            where = path[: steps[position - 1].end()] if position else ""
+            parent_path = path[: steps[position - 1].end()] if position else ""
             if is_column and isinstance(key, int) and position + 1 == len(steps) and _is_by_column(node, parent):
-                return self._indexed(node, key, where)
-            parent, node = node, self._child(node, key, where)
+                return self._indexed(node, key, parent_path)
+            parent, node = node, self._child(node, key, parent_path)
             position += count
         return node
 
     def _child(self, node: Any, key: str | int, parent_path: str) -> Any:
-        where = parent_path or "the file"
+        """Return the child of a node by its key or index; for a list of records, the values of the key in all of them.
+
+        Raises
+        ------
+        MissingColumn : the node has no such child.
+        """
+        location = parent_path or "the file"
         if isinstance(key, int):
             has_rows = isinstance(node, list) or (isinstance(node, np.ndarray) and node.ndim > 0)
             if has_rows and key < len(node):
                 return node[key]
-            raise MissingColumn(f"{self.path}: {where} has no item {key}; it is {_described(node)}")
+            raise MissingColumn(f"{self.path}: {location} has no item {key}; it is {_described(node)}")
         if isinstance(node, dict):
             if key in node:
                 return node[key]
-            raise MissingColumn(f"{self.path}: {where} has no {key!r}; it has {', '.join(map(str, node)) or 'nothing'}")
+            raise MissingColumn(
+                f"{self.path}: {location} has no {key!r}; it has {', '.join(map(str, node)) or 'nothing'}"
+            )
         if isinstance(node, list) and all(isinstance(item, dict) for item in node):
             if not any(key in item for item in node):
                 keys_text = ", ".join(sorted({str(name) for item in node[:100] for name in item})) or "nothing"
-                raise MissingColumn(f"{self.path}: no record of {where} has {key!r}; they have {keys_text}")
+                raise MissingColumn(f"{self.path}: no record of {location} has {key!r}; they have {keys_text}")
             return [item.get(key) for item in node]  # None for a record without this key
-        raise MissingColumn(f"{self.path}: {where} has no {key!r}; it is {_described(node)}")
+        raise MissingColumn(f"{self.path}: {location} has no {key!r}; it is {_described(node)}")
 
     def _as_column(self, node: Any, name: str | int) -> Array | list[str]:
+        """Convert a node to a column of numbers, or of texts if all its values are texts.
+
+        Raises
+        ------
+        MissingColumn : the node is not a column.
+        InputError : a value of the column is not a number.
+        """
         if isinstance(node, np.ndarray) and node.dtype.kind in "fiub":
             flat = node.reshape(-1) if node.size == max(node.shape, default=0) else node
             if flat.ndim == 1:
@@ -183,6 +204,7 @@ def _is_matrix(value: Any) -> bool:
 
 
 def _described(value: Any) -> str:
+    """Describe a node of the tree, for a message."""
     if isinstance(value, Undecoded):
         return value.description
     if isinstance(value, dict):

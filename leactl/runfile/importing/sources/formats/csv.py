@@ -56,6 +56,7 @@ class CsvSource(Columns):
         return [*map(cache(self._label), self._labels[self._known(name, self._labels)])]
 
     def _label(self, cell: str) -> str:
+        """Convert a cell to a label; a number gets its shortest form."""
         with suppress(ValueError):
             return cell if cell.lower() in self.words else as_label(self.number(cell))
         return cell

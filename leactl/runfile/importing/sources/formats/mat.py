@@ -123,6 +123,7 @@ class _ReferenceReader:
         return self._read[address]
 
     def _read_value(self, node: Any, depth: int) -> Any:
+        """Read the value of a dataset or group, by the attributes that state its MATLAB type."""
         kind = _attribute_text(node.attrs.get("MATLAB_class", b""))
         if "MATLAB_object_decode" in node.attrs:  # its numbers identify the object and are not its values
             return Undecoded(f"a MATLAB object ({kind}), which only MATLAB decodes (save its vectors as variables)")

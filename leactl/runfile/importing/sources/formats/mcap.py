@@ -152,6 +152,7 @@ class McapFile:
         return Chunk(**content, **times)
 
     def _announce(self, channel: Any) -> None:
+        """Add the topic of a channel once, with the reason if its messages cannot be decoded."""
         if channel.id in self._channels:
             return
         self._channels[channel.id] = channel
@@ -165,6 +166,7 @@ class McapFile:
         self.topics[channel.topic] = Topic(channel.topic, kind, reason)
 
     def _decoder(self, channel: Any) -> Callable[[bytes], Any]:
+        """Return the function that decodes the messages of a channel."""
         if channel.message_encoding == "json":
             return json.loads
         kind = self._schemas[channel.schema_id].name

@@ -76,8 +76,8 @@ def files_of(folder: Path) -> tuple[list[Path], bool]:
         hint = "its files are packed; unpack them by `zstd -d` and set compression_mode to none"
         raise InputError(f"{folder / METADATA}: compression_mode {mode!r}: {hint}")
     files = [folder / PurePosixPath(str(name)).name for name in names]
-    if missing := [file.name for file in files if not file.is_file()]:
-        raise InputError(f"{folder}: {', '.join(missing)}: no such file, which {METADATA} names")
+    if missing_names := [file.name for file in files if not file.is_file()]:
+        raise InputError(f"{folder}: {', '.join(missing_names)}: no such file, which {METADATA} names")
     return files, mode == "message"
 
 
@@ -130,6 +130,7 @@ class BagFile:
                 yield Message(connection.topic, stamp_ns, stamp_ns, decode)
 
     def _decode(self, kind: str, data: bytes) -> Any:
+        """Decompress a message if needed, and decode it."""
         if self._unpack:
             import zstandard
 
@@ -138,6 +139,7 @@ class BagFile:
         return self._types.decode(kind, data)
 
     def _announced(self, connection: Any) -> Topic:
+        """Return the topic of a connection, with the reason if its messages cannot be decoded."""
         from rosbags.interfaces import MessageDefinitionFormat
 
         kind, definition = connection.msgtype, connection.msgdef

@@ -51,6 +51,12 @@ def open_source(path: Path, request: SourceRequest) -> MessageSource:
 
 
 def _mapped(path: Path, file: BinaryIO) -> mmap.mmap:
+    """Map a file into memory.
+
+    Raises
+    ------
+    InputError : the file is shorter than the signature of a log; an empty file cannot be mapped.
+    """
     if os.fstat(file.fileno()).st_size < len(MAGIC):
         raise InputError(f"{path}: not a WPILib data log")
     return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
@@ -99,6 +105,12 @@ class WpiLog:
         return len(header) + int(extra_size)
 
     def _records(self) -> Iterator[WpiRecord]:
+        """Yield the records in the order of the file.
+
+        Raises
+        ------
+        InputError : a record is damaged, or goes beyond the end of the file.
+        """
         data, record_offset, end = self._data, self._first, len(self._data)
         while record_offset < end:
             length_bits = data[record_offset]
@@ -132,11 +144,18 @@ class WpiLog:
         return entry, texts[0], texts[1], texts[2]
 
     def _number(self, offset: int, size: int, end: int) -> int:
+        """Return the little-endian number of `size` bytes at an offset of a control record, which ends at `end`.
+
+        Raises
+        ------
+        InputError : the record ends before.
+        """
         if offset + size > end:
             raise InputError(f"{self._path}: damaged: a control record at byte {offset} is cut short")
         return int.from_bytes(self._data[offset : offset + size], "little")
 
     def _announce(self, name: str, kind: str, metadata: str) -> None:
+        """Add the topic of an entry; an unknown type, or one that changes later, makes the topic unreadable."""
         known_topic = self.topics.get(name)
         reason = ""
         if kind.removesuffix("[]") not in NUMBERS and kind not in TEXTS:
@@ -147,6 +166,12 @@ class WpiLog:
             self.topics[name] = Topic(name, kind, reason, VALUE, units_named(metadata))
 
     def _decode(self, kind: str, start: int, end: int) -> dict[str, Any]:
+        """Decode the payload of a record to a message with one field.
+
+        Raises
+        ------
+        ValueError : a number has another length than its type.
+        """
         payload = self._data[start:end]
         if kind in TEXTS:
             return {VALUE: payload.decode("utf-8", "replace")}
