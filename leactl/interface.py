@@ -59,7 +59,7 @@ class Diagnosis(DiagnosisResult):
         """
         from leactl.report.gap_files import Outputs
 
-        outputs = Outputs(None, *(None if place is None else Path(place) for place in (html, model)))
+        outputs = Outputs(None, *(None if path is None else Path(path) for path in (html, model)))
         outputs.check()
         outputs.write(self)
 
@@ -256,6 +256,7 @@ def run_protocol(
 
 
 def _paths(paths: Place | Iterable[Place]) -> list[Path]:
+    """Return one path, or several, as a list."""
     return [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
 
 

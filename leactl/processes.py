@@ -93,9 +93,11 @@ class Workers:
                     futures |= {pool.submit(run_job, work, job) for job in islice(jobs_left, 1)}
 
     def _runs_in_this_process(self, jobs: Sequence[Job]) -> bool:
+        """Return whether jobs run in this process, because there is one process or too few jobs to start workers."""
         return self._processes == 1 or (self._pool is None and len(jobs) < FEWEST_JOBS)
 
     def _started_pool(self) -> ProcessPoolExecutor:
+        """Return the pool of workers, which is started at the first call."""
         if self._pool is None:
             # fresh interpreters, since a fork would copy the locks of libraries' threads without the threads
             self._pool = ProcessPoolExecutor(self._processes, get_context("spawn"), _prepare_worker)
@@ -154,12 +156,14 @@ def _lost_worker_reported() -> Iterator[None]:
 
 
 def _prepare_worker() -> None:
+    """Make a worker ignore Ctrl-C, and exit when its parent process ends."""
     # Ctrl-C reaches every process of a terminal; the parent lets the workers finish their present jobs
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     Thread(target=_exit_with_parent, daemon=True).start()
 
 
 def _exit_with_parent() -> None:
+    """Wait for the end of the parent process, and exit."""
     # a worker waits for jobs on a pipe whose other end it has open too, and would outlive its parent for ever
     parent = parent_process()
     if parent is not None:

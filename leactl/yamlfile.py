@@ -293,6 +293,12 @@ class _Builder:
         self.events: Iterator[Any] = iter(())
 
     def run(self, events: Iterator[Any]) -> None:
+        """Build the data of the document.
+
+        Raises
+        ------
+        InputError : the text has faults, or more than one document.
+        """
         self.events = events
         for event in events:
             if isinstance(event, yaml.DocumentStartEvent):
@@ -305,10 +311,17 @@ class _Builder:
             raise InputError(self.faults)
 
     def add_fault(self, event: Any, location: Location, message: str) -> None:
+        """Add a fault at the position of an event; the location has this position if it has none yet."""
         self.document.places.setdefault(location, _position(event))
         self.faults.append(self.document.fault_at(_position(event), location, message))
 
     def build(self, event: Any, location: Location) -> Any:
+        """Return the data of the value that begins with an event, and store its position.
+
+        Raises
+        ------
+        InputError : the document has too many values or is nested too deeply.
+        """
         self.values += 1
         if self.values > MAX_NODES:
             raise InputError(f"{self.document.name}: more than {MAX_NODES} values")
@@ -335,6 +348,12 @@ class _Builder:
         return value
 
     def mapping(self, location: Location) -> dict[str, Any]:
+        """Return the mapping whose start event was read last; a repeated key is a fault, and its value is skipped.
+
+        Raises
+        ------
+        InputError : a key is not plain text, or the mapping has too many keys.
+        """
         mapping: dict[str, Any] = {}
         while not isinstance(key_event := next(self.events), yaml.MappingEndEvent):
             if not isinstance(key_event, yaml.ScalarEvent):
@@ -372,8 +391,10 @@ class _Builder:
             event = next(self.events)
 
     def depth_error(self, event: Any) -> InputError:
+        """Return the error for a value that is nested too deeply."""
         return InputError(self.document.fault_at(_position(event), (), TOO_DEEP))
 
 
 def _position(event: Any) -> tuple[int, int]:
+    """Return line and column of an event, counted from 1."""
     return event.start_mark.line + 1, event.start_mark.column + 1
