@@ -54,12 +54,14 @@ class ContinuousTorques:
 def continuous_torques(motor: MotorSheet, ambient: float) -> ContinuousTorques:
     """Return the continuous torques and their densities; ambient in degC."""
     constant, mass = motor.torque_constant, motor.body.mass
-    torques = [
+    stated, network = (
         None if current is None or constant is None else constant * current
         for current in (motor.continuous_current, network_current(motor, ambient))
-    ]
-    densities = [None if torque is None or mass is None else torque / mass for torque in torques]
-    return ContinuousTorques(torques[0], torques[1], densities[0], densities[1])
+    )
+    stated_density, network_density = (
+        None if torque is None or mass is None else torque / mass for torque in (stated, network)
+    )
+    return ContinuousTorques(stated, network, stated_density, network_density)
 
 
 def fields_missing_for_friction(motor: MotorSheet) -> list[str]:

@@ -11,10 +11,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from leactl.yamlblock import Block
 
-SMALLEST_MAGNITUDE, LARGEST_MAGNITUDE = (
-    1e-15,
-    1e15,
-)  # outside any machine's range in SI units, far from overflow of products
+# outside the range of any machine in SI units, and far from an overflow of products
+SMALLEST_MAGNITUDE, LARGEST_MAGNITUDE = 1e-15, 1e15
 
 
 def _within_machine_range(value: float) -> float:

@@ -19,11 +19,13 @@ def criterion(
     times : duration and settle time of the step [s].
     required : whether the run fails if the criterion is never met.
     """
-    block: CriterionBlock = getattr(step.content, keys[0])
-    low, high = bounds(timeline, step, block, (keys[0],), "/s" if block.statistic == "slope" else "")
-    window_path = keys[0], "window_s"
-    if times[1] + block.window_s > times[0]:
-        message = f"settle_s and a window of {block.window_s:g} s are longer than {keys[1]}; less was expected"
+    criterion_key, duration_key = keys
+    duration_s, settle_s = times
+    block: CriterionBlock = getattr(step.content, criterion_key)
+    low, high = bounds(timeline, step, block, (criterion_key,), "/s" if block.statistic == "slope" else "")
+    window_path = criterion_key, "window_s"
+    if settle_s + block.window_s > duration_s:
+        message = f"settle_s and a window of {block.window_s:g} s are longer than {duration_key}; less was expected"
         timeline.add_fault(step, window_path, message)
     shortest_window_s = FEWEST_WINDOW_SAMPLES / timeline.rate_hz
     if block.window_s < shortest_window_s * (1 - 1e-9):

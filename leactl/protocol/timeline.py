@@ -200,8 +200,9 @@ class Timeline:
         until: Until | None = None,
     ) -> None:
         """Add a segment at a constant setpoint; `times` are duration and settle time [s]."""
+        duration_s, settle_s = times
         self.roles[role].move_to(value)
-        self.segment(step, name, times[0], {role: Constant(value)}, parameters, times[1], until)
+        self.segment(step, name, duration_s, {role: Constant(value)}, parameters, settle_s, until)
 
     def ramp(
         self,
@@ -213,8 +214,9 @@ class Timeline:
         name: str = "ramp",
     ) -> None:
         """Add a ramp between two setpoints."""
-        self.roles[role].move_to(ends[1])
-        self.segment(step, name, duration_s, {role: Ramp(*ends, duration_s)}, parameters)
+        start, stop = ends
+        self.roles[role].move_to(stop)
+        self.segment(step, name, duration_s, {role: Ramp(start, stop, duration_s)}, parameters)
 
     def approach(
         self, step: ProtocolStep, role: str, value: float, rate: float | None, parameters: Mapping[str, float | str]

@@ -69,10 +69,11 @@ def fit_onset(
         fit = hinge(time, values, onset, fit_s)
         if fit is None:
             return None
-        onset, step = onset + fit[2], fit[2]
+        _slope, _significance, step, onset_sd = fit
+        onset = onset + step
         if abs(step) < 1e-3 * interval:
             break
-    return (onset, fit[3]) if fit is not None and abs(onset - near) <= within + fit_s else None
+    return (onset, onset_sd) if abs(onset - near) <= within + fit_s else None
 
 
 def hinge(time: Array, values: Array, onset_time: float, fit_s: float) -> tuple[float, float, float, float] | None:
@@ -189,7 +190,8 @@ def _onset_at_each_jump(
         growth = float(magnitudes[index_after_jump] - magnitudes[index_after_jump - 1])
         fitted_onset = fit_onset(time, values, jump.run_time - near, within, fit_s, sense * growth)
         if fitted_onset is not None:
-            ties.append(Tie(fitted_onset[0], jump.run_time, math.hypot(jump.sd, fitted_onset[1])))
+            onset_time, onset_sd = fitted_onset
+            ties.append(Tie(onset_time, jump.run_time, math.hypot(jump.sd, onset_sd)))
     return ties
 
 

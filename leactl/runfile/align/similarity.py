@@ -118,9 +118,9 @@ def misfit(channel: tuple[Array, Array], reference: tuple[Array, Array], better:
     stride = max(1, round(interval / float(np.median(np.diff(time)))))
     time, values = time[::stride], values[::stride]
     interval = max(interval, float(np.median(np.diff(time))))
-    stamps_on_run = [alignment.on_run(time) for alignment in (better, worse)]
+    better_stamps, worse_stamps = better.on_run(time), worse.on_run(time)
     is_common = np.logical_and.reduce(
-        [(stamps >= reference_time[0]) & (stamps <= reference_time[-1]) for stamps in stamps_on_run]
+        [(stamps >= reference_time[0]) & (stamps <= reference_time[-1]) for stamps in (better_stamps, worse_stamps)]
     )
     if is_common.sum() < FEWEST_COMMON_SAMPLES:
         return 0.0
@@ -130,14 +130,14 @@ def misfit(channel: tuple[Array, Array], reference: tuple[Array, Array], better:
         return np.stack([np.interp(stamps, reference_time, reference_values), np.ones(len(stamps))], axis=1)
 
     observed = values[is_common]
-    regressors = regressors_at(stamps_on_run[0][is_common])
+    regressors = regressors_at(better_stamps[is_common])
     coefficients = np.linalg.lstsq(regressors, observed, rcond=None)[0]
     squared_residual = (observed - regressors @ coefficients) ** 2
-    excess_squares = residual_of(regressors_at(stamps_on_run[1][is_common]), observed) ** 2 - squared_residual
+    excess_squares = residual_of(regressors_at(worse_stamps[is_common]), observed) ** 2 - squared_residual
     half_interval = 0.5 * interval
     interval_change = (
-        regressors_at(stamps_on_run[0][is_common] + half_interval)
-        - regressors_at(stamps_on_run[0][is_common] - half_interval)
+        regressors_at(better_stamps[is_common] + half_interval)
+        - regressors_at(better_stamps[is_common] - half_interval)
     ) @ coefficients
     # the change over an interval also contains the noise of two samples, which is no edge
     edge_squares = max(float(interval_change @ interval_change) - 2.0 * float(squared_residual.sum()), 0.0)

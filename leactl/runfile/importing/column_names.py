@@ -58,9 +58,8 @@ ALIASES: Final = {
 ONLY_IN_BRACKETS: Final = ("m", "N", "K")  # after an underscore, these mean "measured", a count and a gain
 AMBIGUOUS_UNITS: Final = ("1/s", "s^-1", "rps")  # ambiguous between rad/s and rev/s: the numbers may decide
 EVERY_UNIT: Final = tuple(dict.fromkeys((*ALIASES, *(units for known in CONVERSIONS.values() for units in known))))
-UNITS_BY_LETTERS: Final = {
-    units.replace("*", ""): units for units in EVERY_UNIT if units not in ("1", "%")
-}  # in brackets
+# unit by its spelling without `*`, for brackets at the end of a header
+UNITS_BY_LETTERS: Final = {units.replace("*", ""): units for units in EVERY_UNIT if units not in ("1", "%")}
 _AMPERES_OR_VOLTS: Final = re.compile(r"_m?[AV]\Z")
 # `a` after a symbol of one letter is its index: `i_a` is a phase current, `iq_a` is in amperes
 _LOWER_CASE_UNIT: Final = re.compile(r"(?i:cur\w*|i(?:q|d|bus|dc))_a\Z|(?i:volt\w*|[uv](?:q|d|bus|dc|in))_v\Z")

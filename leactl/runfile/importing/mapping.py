@@ -26,11 +26,8 @@ Name = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Z
 Joint = Annotated[str, StringConstraints(strict=True, pattern=r"^[^\[\]{}]+$")]
 Row = Annotated[int, Field(strict=True, ge=0)]
 Column = Text | Row
-CALIBRATED_UNITS = (
-    "A",
-    "V",
-    "N*m",
-)  # units of quantities whose calibration uncertainty analyses use; clocks, encoders are exact
+# units of quantities whose calibration uncertainty analyses use; clocks and encoders count as exact
+CALIBRATED_UNITS = ("A", "V", "N*m")
 CHANNEL_PATH = r"^[^/]+/[^/]+$"  # stream/channel
 PLACEHOLDER: Final = "{joint}"  # in paths: stands for each joint in turn
 

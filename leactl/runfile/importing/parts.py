@@ -95,12 +95,10 @@ def sweeps(values: Array, least_travel: float) -> list[tuple[int, int, bool]]:
     if is_forward is None:
         return []
     ends = [*turning_points, ((high if is_forward else low), is_forward)]
-    starts = [
-        ends[0][0],
-        *(turning_point + 1 for turning_point, _ in ends[1:-1]),
-    ]  # a turning point ends its sweep and begins none
-    stretches = [(first, last + 1, up) for first, (last, up) in zip(starts, ends[1:], strict=True)]
-    return [(first, last, up) for first, last, up in stretches if travel(values[first:last]) >= least_travel]
+    # a turning point belongs to the sweep that ends there, and the next sweep begins with the row after it
+    starts = [ends[0][0], *(turning_point + 1 for turning_point, _ in ends[1:-1])]
+    stretches = [(first, last + 1, rises) for first, (last, rises) in zip(starts, ends[1:], strict=True)]
+    return [(first, after, rises) for first, after, rises in stretches if travel(values[first:after]) >= least_travel]
 
 
 def travel(values: Array) -> float:

@@ -298,12 +298,13 @@ def are_of_one_shaft(
     first: tuple[ProposedStream, ProposedChannel], second: tuple[ProposedStream, ProposedChannel]
 ) -> bool:
     """Return whether two channels have the same role and, by their names, the same shaft."""
-    if first[1].role != second[1].role:
+    (first_stream, first_channel), (second_stream, second_channel) = first, second
+    if first_channel.role != second_channel.role:
         return False
-    if first[0] is second[0]:
-        return shaft_of(str(first[1].column)) == shaft_of(str(second[1].column))
-    names = [f"{stream.table.records or ''}.{channel.column}" for stream, channel in (first, second)]
-    return shaft_of(names[0]) == shaft_of(names[1])
+    if first_stream is second_stream:
+        return shaft_of(str(first_channel.column)) == shaft_of(str(second_channel.column))
+    first_name, second_name = (f"{stream.table.records or ''}.{channel.column}" for stream, channel in (first, second))
+    return shaft_of(first_name) == shaft_of(second_name)
 
 
 def series_of(stream: ProposedStream, channel: ProposedChannel) -> list[ColumnSeries]:
@@ -332,9 +333,9 @@ def decide_by_travel(
     is_one = abs(gain - 1.0) <= UNIT_GAIN_TOLERANCE
     pairs = unit_pairs_with_gain(gain, UNIT_GAIN_TOLERANCE if is_one else PAIR_GAIN_TOLERANCE)
     fitting_pairs = [
-        pair
-        for pair in pairs
-        if is_same_unit(pair[0], angle.units, "angle") and is_same_unit(pair[1], velocity.units, "velocity")
+        (angle_unit, velocity_unit)
+        for angle_unit, velocity_unit in pairs
+        if is_same_unit(angle_unit, angle.units, "angle") and is_same_unit(velocity_unit, velocity.units, "velocity")
     ]
     are_decided = [len(channel.units) == 1 for channel in (angle, velocity)]
     if all(are_decided):
@@ -347,12 +348,14 @@ def decide_by_travel(
             angle.units, angle.is_settled = (pairs_of_velocity[0][0], *angle.units), True
             angle.why.append(f"yet {finding}, as it would be in {pairs_of_velocity[0][0]}")
         return
-    is_unique = len({pair[0] for pair in fitting_pairs}) == 1 and len({pair[1] for pair in fitting_pairs}) == 1
+    is_unique = len({unit for unit, _ in fitting_pairs}) == 1 and len({unit for _, unit in fitting_pairs}) == 1
     if is_unique and is_one and any(are_decided):
         for channel, units in zip((angle, velocity), fitting_pairs[0], strict=True):
             if len(channel.units) > 1 and not channel.is_settled and units not in UNITS_LIKE_A_GEAR:
                 channel.decide(units, f"{units}: {finding}")
-    velocity_units = [pair[1] for pair in pairs if is_same_unit(pair[0], angle.units, "angle")]
+    velocity_units = [
+        velocity_unit for angle_unit, velocity_unit in pairs if is_same_unit(angle_unit, angle.units, "angle")
+    ]
     if not fitting_pairs and are_decided[0]:
         velocity.units = tuple(dict.fromkeys((*velocity_units, *velocity.units)))
     for channel, index in ((angle, 0), (velocity, 1)):

@@ -147,9 +147,8 @@ def units_by_range(quantity: str, values: Array) -> tuple[str, str]:
     range_text = f"its range {low:.4g} .. {high:.4g}"
     if quantity == "drive_enabled" and set(np.unique(finite_values).tolist()) <= {0.0, 1.0}:
         return "1", f"{range_text}, 0 and 1 alone"
-    are_whole = bool(
-        (finite_values == np.round(finite_values)).all()
-    )  # whole numbers may be scaled, such as tenths of a volt
+    # whole numbers may be scaled, such as tenths of a volt
+    are_whole = bool((finite_values == np.round(finite_values)).all())
     if quantity == "bus_voltage" and not are_whole:
         lowest, highest = VOLTS_OF_A_BUS
         if lowest <= middle <= highest:
