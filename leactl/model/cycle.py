@@ -22,7 +22,7 @@ from leactl.tables.columns import Columns, CsvForm
 Array = npt.NDArray[np.float64]
 POINTS_PER_CYCLE = 720  # evenly spaced samples of a cycle
 DEFAULT_HARMONICS = 10  # default number for the angle: up to 10 Hz at one stride per second
-FEWEST_ROWS, MOST_ROWS = 12, 100_000
+FEWEST_ROWS, MOST_ROWS = 12, 100_000  # rows of numbers in the file
 LARGEST_NUMBER = 1e6  # magnitude of any number in the file, in the unit of its column
 MOST_FILE_BYTES = 1 << 25  # size of the file: about 300 bytes for each of `MOST_ROWS`
 FEWEST_HARMONICS = 4  # fewer do not describe the angle of a joint

@@ -28,7 +28,7 @@ from leactl.runfile.write.repack import CHUNK_ROWS, COMPRESSION
 from leactl.runfile.write.run_info import faults_of_channel
 
 LONGEST_START_S = 0.2  # from a run's `created` to its first cycle
-FEWEST_ROWS = 2
+FEWEST_ROWS = 2  # rows of a record within the run
 MOST_TEXT_BYTES = 8000  # bytes of one text: attributes of an object share 64 KiB (HDF5 file format 3.0, IV.A.2.m)
 
 

@@ -19,7 +19,7 @@ SEAL: Final = "seal"  # attribute of the root and of each addition, and group wi
 ADDITIONS: Final = "additions"
 COLUMNS: Final[dict[str, int | None]] = {"path": 0, "sha256": 0}
 DIGEST_ATTRIBUTES: Final = ("sha256", SEAL, ADDITIONS)  # attributes that are digests themselves
-MOST_LISTED: Final = 5  # paths that get a line each in findings
+MOST_LISTED_PATHS: Final = 5  # paths that get a line each in findings
 
 
 def entries(node: Any, path: str = "/") -> Iterator[tuple[str, str]]:
@@ -146,9 +146,9 @@ def unlisted_content(group: Any) -> str:
 
 
 def findings_for(paths: Iterable[str], reason: str) -> list[str]:
-    """Return a line for each path, or one line for all if there are more than `MOST_LISTED`."""
+    """Return a line for each path, or one line for all if there are more than `MOST_LISTED_PATHS`."""
     sorted_paths = sorted(paths)
-    if len(sorted_paths) > MOST_LISTED:
+    if len(sorted_paths) > MOST_LISTED_PATHS:
         return [f"{sorted_paths[0]} and {len(sorted_paths) - 1} more: {reason}"]
     return [f"{path}: {reason}" for path in sorted_paths]
 

@@ -29,7 +29,7 @@ class Ordered(NamedTuple):
 def order_rows(
     time: Array,
     values: Array,
-    where: Callable[[int], str],
+    location_of: Callable[[int], str],
     backward: Literal["refuse", "leave_out"] = "refuse",
     resolution: float = 0.0,
     frame_rate: float | None = None,
@@ -40,7 +40,7 @@ def order_rows(
     ----------
     time : (n,), s, stamps as they were read.
     values : (n, channels).
-    where : returns file and line of a row, for messages.
+    location_of : returns file and line of a row, for messages.
     backward : whether a stamp that goes back is a fault, or its row is left out.
     resolution : s, smallest step of the stamps.
     frame_rate : Hz, of a camera whose stamps are coarser than its frames.
@@ -51,7 +51,7 @@ def order_rows(
     """
     rows_without_stamp = np.flatnonzero(~np.isfinite(time))
     if len(rows_without_stamp):
-        raise InputError(f"{where(int(rows_without_stamp[0]))}: no stamp ({len(rows_without_stamp)} such rows)")
+        raise InputError(f"{location_of(int(rows_without_stamp[0]))}: no stamp ({len(rows_without_stamp)} such rows)")
     remarks: list[str] = []
     latest = np.maximum.accumulate(time)
     backward_rows = np.flatnonzero(time < latest)
@@ -60,18 +60,20 @@ def order_rows(
         step = time[row - 1] - time[row]
         hint = "; a 12-hour clock without AM/PM?" if 11 * 3600 < step < 12.1 * 3600 else ""
         raise InputError(
-            f"{where(row)}: the stamp goes back by {step:.6g} s"
+            f"{location_of(row)}: the stamp goes back by {step:.6g} s"
             f" ({len(backward_rows)} rows lie behind one before them){hint}"
             "; time.backward: leave_out leaves them out"
         )
     if len(backward_rows):
-        remarks.append(f"{len(backward_rows)} rows whose stamps go back, from {where(int(backward_rows[0]))}: left out")
+        remarks.append(
+            f"{len(backward_rows)} rows whose stamps go back, from {location_of(int(backward_rows[0]))}: left out"
+        )
         kept_rows = np.delete(np.arange(len(time)), backward_rows)
         time, values = time[kept_rows], values[kept_rows]
-        where = partial(_where_kept, where, kept_rows)
+        location_of = partial(_where_kept, location_of, kept_rows)
     repeats = np.diff(time) == 0
     if len(repeats) >= FEWEST_STAMP_STEPS and repeats.mean() > COARSE_REPEAT_SHARE:
-        time = times_by_count(time, resolution, frame_rate, where)
+        time = times_by_count(time, resolution, frame_rate, location_of)
         remarks.append(f"{int(repeats.sum())} rows share a stamp with the one before: placed at {frame_rate:g} Hz")
         repeats = np.zeros(len(repeats), bool)
     doubled_rows = np.flatnonzero(repeats) + 1
@@ -85,9 +87,9 @@ def order_rows(
         if len(conflicting_rows):
             hint = "are stamps coarser than frames? time.frame_rate_Hz places them"
             raise InputError(
-                f"{where(int(conflicting_rows[0]))}: the stamp stands twice, over different values; {hint}"
+                f"{location_of(int(conflicting_rows[0]))}: the stamp stands twice, over different values; {hint}"
             )
-        remarks.append(f"{len(doubled_rows)} rows doubled, the first at {where(int(doubled_rows[0]))}: left out")
+        remarks.append(f"{len(doubled_rows)} rows doubled, the first at {location_of(int(doubled_rows[0]))}: left out")
         time, values, repeated_values = (
             np.delete(time, doubled_rows),
             np.delete(values, doubled_rows, axis=0),
@@ -99,9 +101,9 @@ def order_rows(
     return Ordered(time, values, remarks)
 
 
-def _where_kept(where: Callable[[int], str], kept_rows: npt.NDArray[np.intp], row: int) -> str:
+def _where_kept(location_of: Callable[[int], str], kept_rows: npt.NDArray[np.intp], row: int) -> str:
     """Return file and line of a row, by its index among the kept rows."""
-    return where(int(kept_rows[row]))
+    return location_of(int(kept_rows[row]))
 
 
 def repeated_rows(values: Array) -> npt.NDArray[np.bool_]:
@@ -111,7 +113,9 @@ def repeated_rows(values: Array) -> npt.NDArray[np.bool_]:
     return equal & np.isfinite(later).any(axis=1)
 
 
-def times_by_count(time: Array, resolution: float, frame_rate: float | None, where: Callable[[int], str]) -> Array:
+def times_by_count(
+    time: Array, resolution: float, frame_rate: float | None, location_of: Callable[[int], str]
+) -> Array:
     """Return times by counting frames at a constant rate, for stamps that are coarser than the frames.
 
     Raises
@@ -120,7 +124,7 @@ def times_by_count(time: Array, resolution: float, frame_rate: float | None, whe
         by more than their resolution: frames are missing.
     """
     if frame_rate is None:
-        raise InputError(f"{where(1)}: stamps are coarser than frames; time.frame_rate_Hz places them")
+        raise InputError(f"{location_of(1)}: stamps are coarser than frames; time.frame_rate_Hz places them")
     frame_numbers = np.arange(len(time), dtype=np.float64)
     # the first row of each stamp is closest to the moment at which the stamp changed
     first_rows = np.flatnonzero(np.diff(time) > 0) + 1
@@ -128,18 +132,18 @@ def times_by_count(time: Array, resolution: float, frame_rate: float | None, whe
     if len(first_rows) >= FEWEST_STAMP_STEPS:
         frame_interval = float(np.polyfit(frame_numbers[first_rows], time[first_rows], 1)[0])
     if not len(first_rows):
-        raise InputError(f"{where(1)}: all {len(time)} rows have one stamp; stamps that go on were expected")
+        raise InputError(f"{location_of(1)}: all {len(time)} rows have one stamp; stamps that go on were expected")
     if abs(frame_interval * frame_rate - 1.0) > 0.01:
         raise InputError(
-            f"{where(1)}: {1.0 / frame_interval:.4g} rows a second; time.frame_rate_Hz says {frame_rate:g}"
+            f"{location_of(1)}: {1.0 / frame_interval:.4g} rows a second; time.frame_rate_Hz says {frame_rate:g}"
         )
     start = float(np.mean(time[first_rows] + 0.5 * frame_interval - frame_interval * frame_numbers[first_rows]))
     times: Array = start + frame_interval * frame_numbers
     rows_off_stamp = np.flatnonzero(np.abs(times - time - 0.5 * resolution) > 0.5 * resolution + 1.5 / frame_rate)
     if len(rows_off_stamp):
         raise InputError(
-            f"{where(int(rows_off_stamp[0]))}: counting frames at {1.0 / frame_interval:.4g} Hz leaves the stamps;"
-            " frames are missing, and stamps this coarse do not tell which: export finer ones"
+            f"{location_of(int(rows_off_stamp[0]))}: counting frames at {1.0 / frame_interval:.4g} Hz leaves the"
+            " stamps; frames are missing, and stamps this coarse do not tell which: export finer ones"
         )
     return times
 

@@ -22,8 +22,8 @@ from leactl.tables.number_format import TableFormat
 
 MOST_CHARACTERS = 1 << 25  # of a file: 1.6 million rows of a thermal camera's export, which take 1 GB of memory
 MOST_BYTES = 2 * MOST_CHARACTERS  # of a file in UTF-16
-MOST_PREAMBLE_LINES = 1000  # before the headings
-MOST_FAULTS = 5  # that one error lists
+MOST_PREAMBLE_LINES = 1000  # lines before the headings
+MOST_FAULTS = 5  # faults that one error lists
 HEAD_BYTES = 1 << 12  # first bytes of a file, from which its encoding is detected
 SHOWN_BYTES = 60  # bytes in a message before and after a byte that the encoding does not allow
 # encodings in which a message shows these bytes: Western, Korean, Japanese and Chinese Windows

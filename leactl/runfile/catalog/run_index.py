@@ -29,7 +29,7 @@ APPLICATION: Final = 0x6C656178  # "leax"
 VERSION: Final = 1  # increases if the meaning of a column changes
 # SQLite file format, 1.3: the file's first bytes, the user version and the application identifier
 MAGIC, VERSION_AT, APPLICATION_AT = b"SQLite format 3\0", slice(60, 64), slice(68, 72)
-MOST_INDEX_BYTES: Final = 1 << 30  # some million runs
+MOST_INDEX_BYTES: Final = 1 << 30  # of an index: some million runs
 # a file that was read within this time after a change may change again without a new time of change, since the file
 # system's clock may advance in steps of up to 2 s (FAT)
 YOUNG_NS: Final = 2 * 10**9

@@ -21,7 +21,7 @@ from leactl.yamlblock import Block
 from leactl.yamlfile import shown
 
 NAME: Final = "tags.json"
-MOST_TAG_BYTES: Final = 1 << 26  # a million runs
+MOST_TAG_BYTES: Final = 1 << 26  # of a file of tags: a million runs
 TAG_PATTERN: Final = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}"
 Tag = Annotated[str, Field(pattern=f"^{TAG_PATTERN}$")]
 

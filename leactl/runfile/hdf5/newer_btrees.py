@@ -21,7 +21,7 @@ TREE: Final = struct.Struct("<4sxBIHH2xQHQ")
 # signature, size of an identifier and of the filters, largest object in a block, address of the tree of huge objects
 HEAP: Final = struct.Struct("<4sxHH1xI8xQ")
 HEAP_SIZE: Final = 142  # bytes before the checksum
-LARGEST_BLOCK_AT: Final = 120
+LARGEST_BLOCK_AT: Final = 120  # offset of the size of the largest block in a heap's header
 CHECKSUM: Final = 4  # bytes
 NODE_HEAD: Final = 6  # bytes: signature, version, type
 NODE_PREFIX: Final = 10  # bytes: the head and the checksum

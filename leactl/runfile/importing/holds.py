@@ -17,7 +17,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
 WINDOWS_PER_HOLD = 4  # windows in the shortest hold; those before and after a row leave half of the hold undisturbed
-FEWEST_WINDOW_ROWS = 8  # so that the scatter of a window can be estimated
+FEWEST_WINDOW_ROWS = 8  # rows of a window, so that its scatter can be estimated
 CHANGE_STDS = 5.0  # standard deviations by which the means of two windows differ where a level changes
 CALM_QUANTILE = 0.1  # quantile of change over scatter from which the scatter of means is first estimated
 # |z| below which 20 % of a normal variable lie: half of the rows lie in holds, so 2 * CALM_QUANTILE

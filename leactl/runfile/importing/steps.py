@@ -12,7 +12,7 @@ from leactl.runfile.importing.mapping import Mapping, StepsByColumn, StepsByHold
 from leactl.runfile.importing.streams import Stream
 from leactl.yamlfile import Document
 
-MOST_LABELS_SHOWN = 10  # in a message
+MOST_LABELS_SHOWN = 10  # labels in a message
 
 
 class ImportedStep(NamedTuple):

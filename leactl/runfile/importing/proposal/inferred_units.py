@@ -26,12 +26,12 @@ UNIT_GAIN_TOLERANCE: Final = 0.004  # relative, of a gain to 1, if the unit of o
 PAIR_GAIN_TOLERANCE: Final = 0.003  # relative, of a gain to the ratio of two different units, which are then likeliest
 GEAR_TOLERANCE: Final = 0.003  # relative, of a gain to a whole number, which may be the ratio of a gear
 LARGEST_GAIN_ERROR: Final = 0.001  # relative standard error of a gain that decides
-LEAST_EXPLAINED: Final = 0.95  # share of a velocity that the angle's change has to explain
+LEAST_EXPLAINED_SHARE: Final = 0.95  # share of a velocity that the angle's change has to explain
 SETPOINT_TOLERANCE: Final = 0.05  # relative, of a reading to its setpoint
 FEWEST_JUMPS: Final = 2  # of an angle, by which it counts as wrapped
 AMPERES: Final = (0.05, 5.0)  # largest current of a log in A; no actuator moves with such a current in mA
 VOLTS: Final = (0.5, 60.0)  # largest voltage of a log in V; windings have more mV, and rigs of more V are asked for
-SHORTEST_ROW_INTERVAL_S, LONGEST_ROW_INTERVAL_S = 2e-5, 10.0  # of logs
+SHORTEST_ROW_INTERVAL_S, LONGEST_ROW_INTERVAL_S = 2e-5, 10.0  # between rows of a log, in the median
 EPOCHS: Final = {"s": 1e9, "ms": 1e12, "us": 1e15, "ns": 1e18}  # stamps in 2001; twice as large ones are in 2033
 VOLTS_OF_A_BUS: Final = (3.0, 1000.0)
 INDOORS_DEGC: Final = (5.0, 45.0)  # range of a log's coldest reading; the same numbers in degF are -15 to 7 degC
@@ -80,7 +80,7 @@ def gain_of(angle: ColumnSeries, velocity: ColumnSeries) -> Gain | None:
     gain = gain_by_travel(
         MappedColumn("", *known_velocity, "", ""), MappedColumn("", known_angle.time, unwrapped, "", "")
     )
-    if gain is None or gain.explained < LEAST_EXPLAINED or gain.std > LARGEST_GAIN_ERROR * abs(gain.value):
+    if gain is None or gain.explained < LEAST_EXPLAINED_SHARE or gain.std > LARGEST_GAIN_ERROR * abs(gain.value):
         return None
     return gain
 
@@ -111,7 +111,7 @@ def equals_setpoint(measured: ColumnSeries, setpoint: ColumnSeries, quantity: st
     if min(len(reading.time), len(setpoint_values.time)) < 2:
         return False
     gain = gain_by_setpoint(MappedColumn("", *reading, "", ""), MappedColumn("", *setpoint_values, "", ""), quantity)
-    return gain is not None and gain.explained >= LEAST_EXPLAINED and abs(gain.value - 1.0) <= SETPOINT_TOLERANCE
+    return gain is not None and gain.explained >= LEAST_EXPLAINED_SHARE and abs(gain.value - 1.0) <= SETPOINT_TOLERANCE
 
 
 def units_of_time(stamps: Array, candidates: Sequence[str] = tuple(EPOCHS)) -> tuple[list[str], str]:

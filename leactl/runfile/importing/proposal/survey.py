@@ -17,8 +17,8 @@ from leactl.tables.columns import CsvForm
 from leactl.tables.text_table import SEP_LINE, open_text
 
 Array = npt.NDArray[np.float64]
-MOST_JOINTS: Final = 4  # joints whose values are read
-LONGEST_SEP_LINE: Final = 20  # characters
+MOST_JOINTS: Final = 4  # joints of a table whose values are read
+LONGEST_SEP_LINE: Final = 20  # characters of the first line that are searched for `sep=`
 
 
 @dataclass

@@ -35,9 +35,9 @@ NAMES: Final = ("name", "names", "joint_names")  # sensor_msgs/JointState, contr
 STAMP_PARTS: Final = ("nanosec", "nanosecs", "nsec", "nsecs")  # ROS 2, ROS 1, and Foxglove's JSON
 SECONDS_PARTS: Final = ("sec", "secs")
 RECORDER: Final = (("log_time",), ("publish_time",))  # paths of the recorder's stamps
-MOST_ELEMENTS: Final = 64  # of a list whose elements are listed; a longer one is an image or a point cloud
+MOST_LISTED_ELEMENTS: Final = 64  # of a list whose elements are listed; a longer one is an image or a point cloud
 MOST_FIELD_LEVELS: Final = 8  # of nested fields that are listed
-MOST_SAMPLES: Final = 50  # messages of a topic from which its fields and joints are listed
+MOST_SURVEYED_MESSAGES: Final = 50  # messages of a topic from which its fields and joints are listed
 _KNOWN_FIELDS: dict[type[Any], tuple[str, ...]] = {}  # cache, since every message needs them
 NUMBERS = bool | int | float | np.number | np.bool_
 # largest delay of a message in the recorder's buffers; a stamp that is earlier by more means a clock that was set back
@@ -146,7 +146,7 @@ class MessageSource:
         readable = {name for name, topic in self._log.topics.items() if not topic.unreadable}
         for message in self._log.messages(readable):
             samples = self._samples.setdefault(message.topic, [])
-            if len(samples) < MOST_SAMPLES:
+            if len(samples) < MOST_SURVEYED_MESSAGES:
                 samples.append(self._decoded(message))
 
     def _read(self) -> None:
@@ -398,7 +398,7 @@ def _tables(topic: Topic, samples: list[Any]) -> Iterator[ListedTable]:
         if isinstance(value, Sequence | np.ndarray):
             if joints and len(value) == len(_names(tree) or ()):
                 joint_columns.append(ListedColumn(path))
-            elif not joints and len(value) <= MOST_ELEMENTS:
+            elif not joints and len(value) <= MOST_LISTED_ELEMENTS:
                 plain_columns += [ListedColumn(f"{path}[{index}]") for index in range(len(value))]
         elif not path.startswith("header."):
             plain_columns.append(ListedColumn(path, topic.units, f"what {topic.name} declares" if topic.units else ""))
@@ -420,4 +420,8 @@ def _leaves(node: Any, path: str, depth: int) -> Iterator[tuple[str, Any]]:
 
 def _are_numbers(value: Any) -> bool:
     """Return whether a value is a non-empty list whose first elements are numbers."""
-    return isinstance(value, list) and bool(value) and all(isinstance(item, NUMBERS) for item in value[:MOST_ELEMENTS])
+    return (
+        isinstance(value, list)
+        and bool(value)
+        and all(isinstance(item, NUMBERS) for item in value[:MOST_LISTED_ELEMENTS])
+    )

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from leactl.tables.columns import CsvForm
 
 Array = npt.NDArray[np.float64]
-LONGEST_REASON = 200  # characters
+LONGEST_REASON = 200  # characters of a library's error in a message
 
 
 class MissingColumn(Exception):

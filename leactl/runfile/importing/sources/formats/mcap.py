@@ -22,7 +22,7 @@ from leactl.runfile.importing.sources.source import SourceRequest, reason_text
 
 ENDINGS = (".mcap",)
 LARGEST_CHUNK: Final = 1 << 28  # bytes after decompression; recorders write chunks of some megabytes
-LARGEST_RECORD: Final = 1 << 28  # bytes
+LARGEST_RECORD: Final = 1 << 28  # bytes of a record of the log
 MAGIC: Final = b"\x89MCAP0\r\n"
 SHORTEST_FILE: Final = 2 * len(MAGIC) + 29  # bytes: both magics and a footer
 TRUNCATED = "truncated: it ends before its footer; `mcap recover` saves what is whole"

@@ -14,7 +14,7 @@ from leactl.runfile.importing.sources.source import SourceRequest, reason_text
 from leactl.runfile.importing.sources.trees import MOST_COLUMNS, TreeSource, is_by_row
 
 ENDINGS = (".npz",)
-MOST_ARRAYS: Final = 1000
+MOST_ARRAYS: Final = 1000  # of an archive
 LONGEST_HEADER: Final = 10_000  # characters; NumPy's own bound of a header that it parses
 HEADERS: Final = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 DAMAGE: Final = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, NotImplementedError, RuntimeError, KeyError)

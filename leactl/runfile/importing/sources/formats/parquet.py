@@ -24,7 +24,7 @@ from leactl.runfile.importing.sources.trees import MOST_COLUMNS, TreeSource
 ENDINGS = (".parquet", ".pq")
 VALUE_BYTES: Final = 8  # of a number in memory
 PER_SECOND: Final = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
-MOST_INFO_BYTES: Final = 1 << 24
+MOST_INFO_BYTES: Final = 1 << 24  # of a dataset's `meta/info.json`
 META_DEPTH: Final = 3  # folders above an episode of LeRobot to its dataset: data/chunk-000/episode_000000.parquet
 
 

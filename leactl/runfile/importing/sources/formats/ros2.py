@@ -22,7 +22,7 @@ ENDINGS = (".db3",)
 METADATA: Final = "metadata.yaml"
 NEWEST_METADATA: Final = 9  # version of the metadata
 SQLITE: Final = b"SQLite format 3\0"
-MOST_FILES: Final = 1000
+MOST_FILES: Final = 1000  # of a bag
 IN_ORDER: Final = "SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({}) ORDER BY id"
 
 
