@@ -397,6 +397,18 @@ def test_one_recording_becomes_several_runs(folder, how, lengths):
             assert run.rows["loop"] == pytest.approx(lengths[file.stem], abs=2)
 
 
+def test_a_channel_without_a_number_has_no_direction(folder):
+    """Its only number is in a row that repeats the stamp before it, and goes with that row."""
+    angle = np.full(N, np.nan)
+    angle[8] = 1.0
+    stamps = T.copy()
+    stamps[8] = stamps[7]
+    write_csv(folder / "s.csv", {"t": stamps, "q": angle})
+    text = SPLIT.format(how="by_direction: {channel: loop/angle, least: 1.0}")
+    with pytest.raises(InputError, match="angle"):
+        imported(folder, folder / "s.csv", text.replace("column: t", "column: t, repeated: drop"))
+
+
 def test_stamps_by_the_calendar_and_stamps_that_stand_twice(folder):
     stamps = [f"2024-05-01T10:00:{t:06.3f}Z" for t in T]
     stamps[8] = stamps[7]

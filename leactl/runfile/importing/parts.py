@@ -77,6 +77,8 @@ def sweeps(values: Array, least_travel: float) -> list[tuple[int, int, bool]]:
     """
     turning_points: list[tuple[int, bool]] = []  # row of the extreme, and whether it is a maximum
     finite_rows = np.flatnonzero(np.isfinite(values))
+    if not len(finite_rows):
+        return []
     low = high = int(finite_rows[0])
     is_forward: bool | None = None
     for index in finite_rows.tolist():
