@@ -33,7 +33,7 @@ FAULT_SEARCHES: tuple[FaultSearch, ...] = (
     find_clock_fault,
 )
 LEAST_HELD_OUT_SHARE = 0.3  # smallest share of a channel's squared error on held-out runs that mending a fault removes
-MOST_MENDS = 8  # mends of one set-up
+MOST_MENDS = 8  # mends of one set-up, so that the search ends
 
 
 def find_and_mend_faults(
@@ -43,13 +43,14 @@ def find_and_mend_faults(
 
     Parameters
     ----------
-    held_out : number of held-out records, the last ones, on which the gap of a fault is measured; all by default.
+    held_out : number of records at the end that are held out; the share that a mend removes is measured on them. By
+        default it is measured on all records.
     """
     faults, mended_records = list[SetUpFault](), list(records)
-    rounds, first_held_out = 0, 0 if held_out is None else len(mended_records) - held_out
-    for look in FAULT_SEARCHES:
+    mend_count, first_held_out = 0, 0 if held_out is None else len(mended_records) - held_out
+    for find_fault in FAULT_SEARCHES:
         logged = mended_records
-        while (fault := look(mended_records, model)) is not None:
+        while (fault := find_fault(mended_records, model)) is not None:
             remended = [fault.mend(record) for record in mended_records]
             repeats_last = bool(faults) and (faults[-1].name, faults[-1].key) == (fault.name, fault.key)
             logged = logged if repeats_last else mended_records
@@ -59,11 +60,11 @@ def find_and_mend_faults(
                 break
             if picture_and_share is not None and shrinks:
                 fault = replace(fault, picture=picture_and_share[0], share=picture_and_share[1])
-            if repeats_last:  # more of the last fault: its first description is the best
+            if repeats_last:  # a further mend of the last fault: its first description is the best
                 fault = replace(faults.pop(), picture=fault.picture, share=fault.share)
             faults.append(fault)
             mended_records = remended
-            rounds += 1
-            if rounds == MOST_MENDS:
+            mend_count += 1
+            if mend_count == MOST_MENDS:
                 return faults, mended_records
     return faults, mended_records

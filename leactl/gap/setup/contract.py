@@ -16,19 +16,20 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class SetUpFault:
-    """One channel that is not what its description says, and the mend."""
+    """A channel that differs from its description, and the change of a record that mends it."""
 
     name: str  # of the vocabulary's family `setup`
     key: Key
     probability: float
     evidence: str
-    change: str  # the line that undoes it where the run was imported or recorded
+    change: str  # advice on what to change in the mapping or the bench file
     mend: Callable[[Record], Record]
     parameters: tuple[EffectParameter, ...] = ()
     peers: tuple[str, ...] = ()  # faults that these runs cannot tell from it
-    shrinks: bool = True  # whether mending has to shrink the gap; if False, it leaves out samples or exchanges names
+    # whether mending has to shrink the gap; not if it only replaces or leaves out samples, or exchanges two channels
+    shrinks: bool = True
     share: float | None = None  # share of the channel's squared error on held-out runs that mending removes
-    picture: Picture | None = None  # of that error, before and after
+    picture: Picture | None = None  # of the channel's error, as logged and as mended
 
     def as_cause(self) -> Cause:
         """Return the fault as a cause of a diagnosis."""
@@ -53,7 +54,7 @@ class SetUpFault:
 
 
 def with_values(record: Record, key: Key, values: Array) -> Record:
-    """Return a record with new values of a channel."""
+    """Return a record with new values of a channel; the same record if it lacks the channel."""
     clock = record.fast
     if clock is None or key not in clock.values:
         return record
@@ -67,8 +68,8 @@ def without_samples(record: Record, key: Key, masks: Mapping[str, Mask]) -> Reco
     if clock is None or mask is None or key not in clock.values:
         return record
     if not mask.all():
-        # next to the masked samples of a clipped channel noise is cut on one side
-        around = maximum_filter1d(mask, 2 * SMOOTHING_REACH + 1)
-        return replace(record, fast=replace(clock, valid=clock.valid | {key: clock.valid[key] & ~around}))
+        # beside the masked samples of a clipped channel, noise is cut on one side
+        widened_mask = maximum_filter1d(mask, 2 * SMOOTHING_REACH + 1)
+        return replace(record, fast=replace(clock, valid=clock.valid | {key: clock.valid[key] & ~widened_mask}))
     remaining = {channel: values for channel, values in clock.values.items() if channel != key}
     return replace(record, fast=replace(clock, values=remaining))

@@ -26,15 +26,15 @@ UNIT_FACTORS = {
     "2 pi": 2.0 * math.pi,
 }
 FACTORS = CURRENT_FACTORS | UNIT_FACTORS
-STEPS_OF_TIME = {"1000": 1000.0, "1/1000": 1e-3, "1000000": 1e6, "1/1000000": 1e-6, "60": 60.0, "1/60": 1.0 / 60.0}
+TIME_FACTORS = {"1000": 1000.0, "1/1000": 1e-3, "1000000": 1e6, "1/1000000": 1e-6, "60": 60.0, "1/60": 1.0 / 60.0}
 CONVENTION_TOLERANCE = 0.06  # largest difference of logarithms between a factor and its convention
-MOST_RATE_DENOMINATOR = 10  # of a ratio of two rates
-MOST_POLE_PAIRS = 64
+MOST_RATE_DENOMINATOR = 10  # largest denominator of a ratio of two sampling rates
+MOST_POLE_PAIRS = 64  # largest whole number that is taken for pole pairs or a gear
 WHOLE_TOLERANCE = 0.25  # largest distance of a factor from a whole number
 
 
 def convention(factor: float, error: float = 0.0) -> str:
-    """Return the name of the convention that a factor equals within its error; empty where it equals none."""
+    """Return the name of the convention that a factor equals within its error; empty if it equals none."""
     size = abs(factor)
     nearest = min(FACTORS, key=lambda name: abs(math.log(size / FACTORS[name])))
     return (
@@ -45,9 +45,9 @@ def convention(factor: float, error: float = 0.0) -> str:
 
 
 def time_unit(factor: float, error: float) -> str:
-    """Return the unit or ratio of rates that a factor of time equals; empty where it is neither."""
-    nearest = min(STEPS_OF_TIME, key=lambda name: abs(math.log(factor / STEPS_OF_TIME[name])))
-    if abs(math.log(factor / STEPS_OF_TIME[nearest])) < CONVENTION_TOLERANCE + error:
+    """Return the unit or ratio of rates that a factor of time equals; empty if it is neither."""
+    nearest = min(TIME_FACTORS, key=lambda name: abs(math.log(factor / TIME_FACTORS[name])))
+    if abs(math.log(factor / TIME_FACTORS[nearest])) < CONVENTION_TOLERANCE + error:
         return nearest
     ratio = Fraction(factor).limit_denominator(MOST_RATE_DENOMINATOR)
     if (
@@ -63,6 +63,6 @@ def whole_number(factor: float, error: float) -> int | None:
     """Return the whole number, 2 to `MOST_POLE_PAIRS`, that a factor or its inverse equals; None if it equals none."""
     larger = max(factor, 1.0 / factor)
     number = round(larger)
-    tolerance = WHOLE_TOLERANCE / max(number, 1)  # the same in logarithms
+    tolerance = WHOLE_TOLERANCE / max(number, 1)  # of the logarithm
     determined = 2 <= number <= MOST_POLE_PAIRS and error < tolerance
     return number if determined and abs(math.log(larger / number)) < tolerance + error else None

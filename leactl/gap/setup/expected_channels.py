@@ -23,13 +23,13 @@ class ExpectedChannel:
     """A channel of a run with the values that are expected of it."""
 
     key: Key
-    reference_label: str  # what the expected value comes from, as texts name it
+    reference_label: str  # source of the expected values, as evidence texts name it
     measured: Array
     expected: Array
-    inputs: tuple[Key, ...]  # channels that both are computed from
+    inputs: tuple[Key, ...]  # channels that the measured and the expected values come from
     expected_delay: float = 0.0  # samples by which the channel is late according to the model
     variable: Variable = "velocity"  # variable that its error is drawn over
-    drawn_over: Array | None = None  # values of `variable`; None: the expected values are values of it
+    drawn_over: Array | None = None  # values of `variable`; None if the expected values are values of it
 
 
 def direct_pairs(record: Record, model: Model) -> Iterator[ExpectedChannel]:
@@ -40,22 +40,22 @@ def direct_pairs(record: Record, model: Model) -> Iterator[ExpectedChannel]:
     angle, current, reference = clock.get(*ANGLE), clock.get(*CURRENT), clock.get(*REFERENCE)
     if angle is not None and record.mechanical != "locked":
         angle_velocity = np.gradient(angle, clock.interval)
-        late = filter_delay(clock, bench.velocity_filter_bandwidth)
+        delay = filter_delay(clock, bench.velocity_filter_bandwidth)
         for key in (VELOCITY, LOAD_VELOCITY) if record.mechanical == "coupled" else (VELOCITY,):
             if key in clock.values:
-                yield ExpectedChannel(key, "the angle", clock.values[key], angle_velocity, (key, ANGLE), late)
+                yield ExpectedChannel(key, "the angle", clock.values[key], angle_velocity, (key, ANGLE), delay)
     if current is not None and reference is not None:
-        late = filter_delay(clock, bench.current_loop_bandwidth)
+        delay = filter_delay(clock, bench.current_loop_bandwidth)
         yield ExpectedChannel(
-            CURRENT, "its reference", current, reference, (CURRENT, REFERENCE), late, "q_axis_current"
+            CURRENT, "its reference", current, reference, (CURRENT, REFERENCE), delay, "q_axis_current"
         )
     torque, expected_torque = clock.get(*TORQUE), torque_of_current(clock, model, record.mechanical)
     if torque is not None and expected_torque is not None:
         motion = motion_of(clock) if record.mechanical == "coupled" else None
         if motion is not None:
             expected_torque = least_squares_fit(torque, [expected_torque, *motion_columns(motion)])
-        late = filter_delay(clock, bench.torque_filter_bandwidth)
-        yield ExpectedChannel(TORQUE, "the current", torque, expected_torque, (TORQUE, CURRENT), late, "torque")
+        delay = filter_delay(clock, bench.torque_filter_bandwidth)
+        yield ExpectedChannel(TORQUE, "the current", torque, expected_torque, (TORQUE, CURRENT), delay, "torque")
 
 
 def filter_delay(clock: Clocked, bandwidth: float | None) -> float:
@@ -64,14 +64,14 @@ def filter_delay(clock: Clocked, bandwidth: float | None) -> float:
 
 
 def motion_columns(motion: SmoothedMotion) -> list[Array]:
-    """Return the columns of inertia, damping and friction: acceleration, velocity and its sign."""
+    """Return the columns of inertia, damping and friction: acceleration, velocity and the smoothed sign of velocity."""
     return [motion.acceleration, motion.velocity, smooth(np.sign(motion.velocity), motion.width)]
 
 
 def least_squares_fit(values: Array, columns: list[Array]) -> Array:
     """Return the least-squares fit of columns and an offset to a channel."""
-    rows = np.stack([*columns, np.ones(len(values))], axis=1)
-    return np.asarray(rows @ np.linalg.lstsq(rows, values, rcond=1e-10)[0], np.float64)
+    design = np.stack([*columns, np.ones(len(values))], axis=1)
+    return np.asarray(design @ np.linalg.lstsq(design, values, rcond=1e-10)[0], np.float64)
 
 
 def modelled_pairs(record: Record, model: Model) -> Iterator[ExpectedChannel]:
@@ -82,8 +82,10 @@ def modelled_pairs(record: Record, model: Model) -> Iterator[ExpectedChannel]:
     motion, constant = motion_of(clock), model.torque_constant
     current, torque, voltage = clock.get(*CURRENT), clock.get(*TORQUE), clock.get(*VOLTAGE)
     motor_torque = torque_of_current(clock, model, record.mechanical)
-    parts = (model.rotor_inertia or 0.0, model.viscous_damping or 0.0, model.coulomb_friction or 0.0)
-    inertia_and_friction = np.zeros(len(clock.time)) if motion is None else sum_of(parts, motion_columns(motion))
+    coefficients = (model.rotor_inertia or 0.0, model.viscous_damping or 0.0, model.coulomb_friction or 0.0)
+    inertia_and_friction = (
+        np.zeros(len(clock.time)) if motion is None else linear_combination(coefficients, motion_columns(motion))
+    )
     locked = record.mechanical == "locked"
     if torque is not None and motor_torque is not None:
         expected = motor_torque if locked else motor_torque - inertia_and_friction
@@ -99,15 +101,15 @@ def modelled_pairs(record: Record, model: Model) -> Iterator[ExpectedChannel]:
     if (
         voltage is not None
         and motion is not None
-        and (volts_taken := voltage_for_motion(record, model, motion)) is not None
+        and (motion_volts := voltage_for_motion(record, model, motion)) is not None
     ):
         inputs = (VOLTAGE, ANGLE)
-        yield ExpectedChannel(VOLTAGE, "the motion", voltage, volts_taken, inputs, 0.0, "velocity", motion.velocity)
-    if current is not None and motion is not None and constant and record.mechanical == "free" and any(parts):
+        yield ExpectedChannel(VOLTAGE, "the motion", voltage, motion_volts, inputs, 0.0, "velocity", motion.velocity)
+    if current is not None and motion is not None and constant and record.mechanical == "free" and any(coefficients):
         expected, inputs = inertia_and_friction / constant, (CURRENT, ANGLE)
         yield ExpectedChannel(CURRENT, "the motion and the model", current, expected, inputs, 0.0, "q_axis_current")
 
 
-def sum_of(parts: tuple[float, ...], columns: list[Array]) -> Array:
-    """Return the sum of columns times their coefficients."""
-    return np.asarray(np.asarray(parts) @ np.stack(columns), np.float64)
+def linear_combination(coefficients: tuple[float, ...], columns: list[Array]) -> Array:
+    """Return the sum of columns, each times its coefficient."""
+    return np.asarray(np.asarray(coefficients) @ np.stack(columns), np.float64)

@@ -16,11 +16,11 @@ from leactl.gap.setup.relations import CONSTANT_POWERS, CONSTANT_STD, FACTOR_STD
 from leactl.gap.signals.record import Key
 
 Array = npt.NDArray[np.float64]
-LEAST_EXPLAINED_SQUARES = 9.0  # squared standard deviations that a fault explains
+LEAST_EXPLAINED_SQUARES = 9.0  # squared standard deviations of the factors that a fault has to explain
 MOST_RESIDUAL_STDS = 3.0  # largest residual of any factor, in standard deviations
 MOST_RIVAL_COST = 9.0  # squared standard deviations by which a rival may fit worse
 WRONG_PARAMETER_STD = math.log(2.0)  # deviation of the logarithm of a parameter that is wrong in the model file
-MOST_DISAGREEMENT = 0.2  # largest deviation of the logarithms of one factor between runs with one fault
+MOST_DISAGREEMENT = 0.2  # deviation of the logarithm of a factor to either side, between runs with one fault
 EXACT_FACTOR_ERROR = 0.004  # error of the logarithm of a factor between two channels of one quantity
 WARM_DIFFERENCE = {"resistance": 0.4}  # further difference of logarithms between warm and cold runs
 MOST_USUAL_STDS = 3.0  # standard deviations up to which a factor is usual
@@ -32,15 +32,16 @@ TIME: Key = ("time", "")
 class Signature:
     """Powers of a fault's size in each factor, and the factors whose sign a negative fault reverses."""
 
-    keys: tuple[Key, ...]  # channels that are scaled alike; none for a parameter of the model
+    keys: tuple[Key, ...]  # channels that are scaled alike; empty for a parameter of the model
     powers: Mapping[str, float]
-    turns: frozenset[str] = frozenset()
-    parameter: str = ""
+    reversed_factors: frozenset[str] = frozenset()
+    parameter: str = ""  # wrong parameter of the model; empty for a fault of channels
 
 
-def _signature(keys: Sequence[Key], up: str = "", down: str = "", turned: str = "") -> Signature:
-    powers = {name: 1.0 for name in up.split(",") if name} | {name: -1.0 for name in down.split(",") if name}
-    return Signature(tuple(keys), powers, frozenset([*powers, *filter(None, turned.split(","))]))
+def _signature(keys: Sequence[Key], multiplied: str = "", divided: str = "", reversed_only: str = "") -> Signature:
+    """Return the signature of a fault that multiplies, divides or only reverses relations, each separated by commas."""
+    powers = {name: 1.0 for name in multiplied.split(",") if name} | {name: -1.0 for name in divided.split(",") if name}
+    return Signature(tuple(keys), powers, frozenset([*powers, *filter(None, reversed_only.split(","))]))
 
 
 CURRENT, REFERENCE = ("q_axis_current", "test"), ("q_axis_current_reference", "test")
@@ -95,50 +96,50 @@ PARAMETER_SIGNATURES = (
 
 @dataclass(frozen=True)
 class PooledFactor:
-    """One factor of several runs."""
+    """One factor that several runs agree on."""
 
     sign: float
-    size: float  # logarithm
-    error: float
+    size: float  # logarithm of the absolute factor
+    error: float  # standard error of `size`
     explained: float
 
 
 @dataclass(frozen=True)
-class ShownFault:
-    """A fault that the factors show, with its fitted size."""
+class FaultHypothesis:
+    """A fault, or a wrong parameter of the model, that fits the factors."""
 
     signature: Signature
-    size: float  # logarithm
-    error: float
+    size: float  # logarithm of the absolute factor
+    error: float  # standard error of `size`
     sign: float
     misfit: float
     explained: float
 
     @property
     def factor(self) -> float:
-        """The signed size."""
+        """Signed factor by which the fault multiplies its channels."""
         return self.sign * math.exp(self.size)
 
 
 def pool_factors(runs: Sequence[Mapping[str, Factor]]) -> dict[str, PooledFactor]:
     """Return the factors that all runs agree on, by relation."""
-    by_channel = {}
-    for name in FACTOR_STDS:
-        factors = [run[name] for run in runs if name in run]
+    pooled = {}
+    for relation in FACTOR_STDS:
+        factors = [run[relation] for run in runs if relation in run]
         if not factors:
             continue
         signs = np.sign([factor.value for factor in factors])
         sizes = np.log(np.abs([factor.value for factor in factors]))
-        errors = float(np.median([factor.error for factor in factors]))
-        spread = float(np.std(sizes))
+        median_error = float(np.median([factor.error for factor in factors]))
+        std_of_runs = float(np.std(sizes))
         if (signs != signs[0]).any() or float(np.ptp(sizes)) > 2.0 * MOST_DISAGREEMENT + WARM_DIFFERENCE.get(
-            name, 0.0
-        ) + 4.0 * errors:
+            relation, 0.0
+        ) + 4.0 * median_error:
             continue
-        error = math.hypot(errors, spread / math.sqrt(len(factors)))
+        error = math.hypot(median_error, std_of_runs / math.sqrt(len(factors)))
         explained = float(np.median([factor.explained for factor in factors]))
-        by_channel[name] = PooledFactor(float(signs[0]), float(np.median(sizes)), error, explained)
-    return by_channel
+        pooled[relation] = PooledFactor(float(signs[0]), float(np.median(sizes)), error, explained)
+    return pooled
 
 
 def is_usual(factor: Factor) -> bool:
@@ -154,7 +155,7 @@ def constant_power(relation: str) -> float:
     return CONSTANT_POWERS.get(relation, 0.0)
 
 
-def shown_faults(factors: Mapping[str, PooledFactor], channels: Iterable[Key]) -> list[ShownFault]:
+def fault_hypotheses(factors: Mapping[str, PooledFactor], channels: Iterable[Key]) -> list[FaultHypothesis]:
     """Return the fault that the factors show and its rivals, best first; empty if all are usual or no fault fits.
 
     Parameters
@@ -163,58 +164,62 @@ def shown_faults(factors: Mapping[str, PooledFactor], channels: Iterable[Key]) -
     """
     if not factors:
         return []
-    channels_there, names = {*channels, TIME}, list(factors)
-    by_motion = SIGNATURES_BY_ANGLE if ANGLE in channels_there else SIGNATURES_BY_VELOCITY
-    sizes = np.array([factors[name].size for name in names])
-    signs = np.array([factors[name].sign for name in names])
-    constant_powers = np.array([constant_power(name) for name in names])
-    covariance = np.diag([FACTOR_STDS[name] ** 2 + factors[name].error ** 2 for name in names])
+    logged_channels, relations = {*channels, TIME}, list(factors)
+    motion_signatures = SIGNATURES_BY_ANGLE if ANGLE in logged_channels else SIGNATURES_BY_VELOCITY
+    sizes = np.array([factors[relation].size for relation in relations])
+    signs = np.array([factors[relation].sign for relation in relations])
+    constant_powers = np.array([constant_power(relation) for relation in relations])
+    covariance = np.diag([FACTOR_STDS[relation] ** 2 + factors[relation].error ** 2 for relation in relations])
     covariance += CONSTANT_STD**2 * np.outer(constant_powers, constant_powers)
     weights = np.linalg.inv(covariance)
     misfit_without_fault = float(sizes @ weights @ sizes)
-    turned = bool((signs < 0.0).any())
-    if not turned and misfit_without_fault < LEAST_EXPLAINED_SQUARES:
+    is_reversed = bool((signs < 0.0).any())
+    if not is_reversed and misfit_without_fault < LEAST_EXPLAINED_SQUARES:
         return []
-    fitted = []
-    for signature in (*by_motion, *OTHER_SIGNATURES, *PARAMETER_SIGNATURES):
-        if not channels_there.issuperset(signature.keys):
+    hypotheses = []
+    for signature in (*motion_signatures, *OTHER_SIGNATURES, *PARAMETER_SIGNATURES):
+        if not logged_channels.issuperset(signature.keys):
             continue
-        sign = np.array([-1.0 if name in signature.turns else 1.0 for name in names])
-        if turned and not np.array_equal(sign, signs):
+        expected_signs = np.array([-1.0 if relation in signature.reversed_factors else 1.0 for relation in relations])
+        if is_reversed and not np.array_equal(expected_signs, signs):
             continue
-        powers = np.array([signature.powers.get(name, 0.0) for name in names])
-        cost = 0.0 if signature.keys else WRONG_PARAMETER_STD**-2.0
-        information = float(powers @ weights @ powers) + cost
+        powers = np.array([signature.powers.get(relation, 0.0) for relation in relations])
+        prior_precision = 0.0 if signature.keys else WRONG_PARAMETER_STD**-2.0
+        information = float(powers @ weights @ powers) + prior_precision
         if information == 0.0:
             continue
         size = float(powers @ weights @ sizes) / information
-        if turned and information * size**2 < LEAST_EXPLAINED_SQUARES:
-            size = 0.0  # only the sign is reversed
+        if is_reversed and information * size**2 < LEAST_EXPLAINED_SQUARES:
+            size = 0.0  # the size is not significant: only the sign is reversed
         residual = sizes - size * powers
-        misfit = float(residual @ weights @ residual) + cost * size**2
-        if not turned and (
-            misfit_without_fault - misfit < LEAST_EXPLAINED_SQUARES or not is_explained(names, powers, factors)
+        misfit = float(residual @ weights @ residual) + prior_precision * size**2
+        if not is_reversed and (
+            misfit_without_fault - misfit < LEAST_EXPLAINED_SQUARES or not is_explained(relations, powers, factors)
         ):
             continue
         if np.max(np.abs(residual) / np.sqrt(np.diag(covariance))) > MOST_RESIDUAL_STDS:
             continue
         explained_shares = [
-            factors[name].explained for name in names if powers[names.index(name)] or name in signature.turns
+            factors[relation].explained
+            for relation in relations
+            if powers[relations.index(relation)] or relation in signature.reversed_factors
         ]
         error = float(information**-0.5)
-        for name, power in zip(names, powers.tolist(), strict=True):
-            if size and power and FACTOR_STDS[name] <= TIGHT_STD:  # two channels of one quantity give the size best
-                size, error = factors[name].size / power, math.hypot(factors[name].error, EXACT_FACTOR_ERROR)
-        fitted.append(ShownFault(signature, size, error, -1.0 if turned else 1.0, misfit, max(explained_shares)))
-    fitted.sort(key=lambda fault: (fault.misfit, len(fault.signature.keys)))
-    return [fault for fault in fitted if fault.misfit <= fitted[0].misfit + MOST_RIVAL_COST]
+        for relation, power in zip(relations, powers.tolist(), strict=True):
+            if size and power and FACTOR_STDS[relation] <= TIGHT_STD:  # two channels of one quantity give the size best
+                size, error = factors[relation].size / power, math.hypot(factors[relation].error, EXACT_FACTOR_ERROR)
+        hypotheses.append(
+            FaultHypothesis(signature, size, error, -1.0 if is_reversed else 1.0, misfit, max(explained_shares))
+        )
+    hypotheses.sort(key=lambda fault: (fault.misfit, len(fault.signature.keys)))
+    return [fault for fault in hypotheses if fault.misfit <= hypotheses[0].misfit + MOST_RIVAL_COST]
 
 
-def is_explained(names: Sequence[str], powers: Array, factors: Mapping[str, PooledFactor]) -> bool:
+def is_explained(relations: Sequence[str], powers: Array, factors: Mapping[str, PooledFactor]) -> bool:
     """Return whether the scaled factors explain nearly all of their channels' squared errors.
 
     All relations between two channels of one quantity have to; if there is none, one other relation has to.
     """
-    scaled = [name for name, power in zip(names, powers, strict=True) if power]
-    tight = [name for name in scaled if FACTOR_STDS[name] <= TIGHT_STD]
-    return (all if tight else any)(factors[name].explained >= LEAST_EXPLAINED_SHARE for name in tight or scaled)
+    scaled = [relation for relation, power in zip(relations, powers, strict=True) if power]
+    tight = [relation for relation in scaled if FACTOR_STDS[relation] <= TIGHT_STD]
+    return (all if tight else any)(factors[relation].explained >= LEAST_EXPLAINED_SHARE for relation in tight or scaled)

@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 NOISY_QUANTITIES = ("q_axis_current", "velocity", "torque", "q_axis_voltage")  # quantities that noise always changes
 FAULT_PROBABILITY = 0.99  # probability of a fault that samples show
-LEAP_TOLERANCE = 0.1  # largest difference between the leaps of a wrapped channel, as a share of the period
+LEAP_TOLERANCE = 0.1  # largest difference of two leaps of a wrapped channel, or of its period from 2 pi, as a share
 LEAST_LEAP_SHARE = 0.6  # share of a channel's range from which a step is a leap
 LEAST_LEAP_STEPS = 16.0  # encoder steps; a smaller leap is an angle at rest that flickers
 LEAST_FROZEN_SHARE = 0.3  # share of a record from which a constant channel is frozen, not at rest
@@ -26,7 +26,7 @@ FEWEST_FINE_LEVELS = 200  # levels from which two equal samples in a row are not
 MOST_REPEATED_SHARE = 0.3  # largest share of repeated samples in a sound channel
 LEAST_NOISE_RATIO = 0.1  # noise over that of the reference; with less, a channel is computed, not measured
 LEAST_CLIPPED_SHARE = 0.01  # share of a clipped channel's samples at an end of its range
-FEWEST_CLIPPED_IN_ROW = 4  # consecutive samples there
+FEWEST_CLIPPED_IN_ROW = 4  # consecutive samples of a clipped channel at an end of its range
 COMPANIONS = {
     "velocity": "angle",
     "angle": "velocity",
@@ -66,14 +66,14 @@ def find_wrapped_angle(records: Sequence[Record], _: Model) -> SetUpFault | None
 
 
 def with_unwrapped_angle(record: Record, key: Key, period: float) -> Record:
-    """Return a record with an angle unwrapped by a period."""
+    """Return a record whose angle is unwrapped by a period [rad]."""
     if record.fast is None or key not in record.fast.values:
         return record
     return with_values(record, key, np.unwrap(record.fast.values[key], period=period))
 
 
 def period_of(values: Array) -> float:
-    """Return the period by which values leap, zero where they do not."""
+    """Return the period by which values leap, in their unit; zero if they do not leap by equal amounts."""
     steps, value_range = np.diff(values), float(np.ptp(values))
     leaps = np.abs(steps[np.abs(steps) > LEAST_LEAP_SHARE * value_range])
     if len(leaps) < 2 or float(np.median(leaps)) < LEAST_LEAP_STEPS * smallest_step(values):
@@ -92,29 +92,29 @@ def find_frozen_channel(records: Sequence[Record], _: Model) -> SetUpFault | Non
         rests = {
             name: frozen_samples(clock, key) for name, clock in clocks.items() if not may_rest(key, mechanical[name])
         }
-        still = long_rests(rests, {record.name: record.run for record in records})
-        if still:
+        frozen = long_rests(rests, {record.name: record.run for record in records})
+        if frozen:
             evidence = (
                 f"stands still over {percent_text(rests.values())} of its samples while {COMPANIONS[key[0]]} moves"
             )
             change = "look at its wire and its column; these samples are left out"
-            mend = partial(without_samples, key=key, masks=still)
+            mend = partial(without_samples, key=key, masks=frozen)
             return SetUpFault("frozen_channel", key, FAULT_PROBABILITY, evidence, change, mend, shrinks=False)
     return None
 
 
 def long_rests(rests: Mapping[str, Mask], runs: Mapping[str, str]) -> dict[str, Mask]:
     """Return the rests, by record, of runs that rest for at least `LEAST_FROZEN_SHARE` of all their stretches."""
-    by_run: dict[str, Mask] = {}
+    rests_by_record: dict[str, Mask] = {}
     for run in {runs[name] for name in rests}:
         rests_of_run = {name: mask for name, mask in rests.items() if runs[name] == run}
         if float(np.mean(np.concatenate(list(rests_of_run.values())))) >= LEAST_FROZEN_SHARE:
-            by_run |= {name: mask for name, mask in rests_of_run.items() if mask.any()}
-    return by_run
+            rests_by_record |= {name: mask for name, mask in rests_of_run.items() if mask.any()}
+    return rests_by_record
 
 
 def may_rest(key: Key, mechanical: str) -> bool:
-    """Return whether a sound channel may be constant in a set-up while its companion moves."""
+    """Return whether a sound channel may be constant in a mechanical set-up while its companion moves."""
     if mechanical in ("locked", "heated"):
         return key[0] in ("angle", "velocity")
     return mechanical == "free" and key[0] == "torque"
@@ -123,37 +123,39 @@ def may_rest(key: Key, mechanical: str) -> bool:
 def frozen_samples(clock: Clocked, key: Key) -> Mask:
     """Return the samples over which a channel is constant too long while its companion moves.
 
-    All samples are returned where these are most of a record.
+    All samples are returned if more than 1 - `LEAST_FROZEN_SHARE` of a record are frozen.
     """
-    values, resting = nan_where_unmeasured(clock, key), np.zeros(len(clock.time), np.bool_)
+    values, frozen = nan_where_unmeasured(clock, key), np.zeros(len(clock.time), np.bool_)
     companion = clock.get(COMPANIONS[key[0]], key[1])
     begin, end = longest_run(np.diff(values) == 0.0)
     if companion is None or end - begin < max(LONGEST_REST, LEAST_FROZEN_SHARE * len(values)):
-        return resting
-    # the companion of an angle is a speed, whose size counts; of the others its change or deviation does
-    moving = np.abs(companion) if key[0] == "angle" else np.diff(companion, prepend=companion[0])
+        return frozen
+    # the motion of a companion: the size of a speed, the change of an angle, the deviation of a current from its mean
+    motion = np.abs(companion) if key[0] == "angle" else np.diff(companion, prepend=companion[0])
     if key[0] not in ("angle", "velocity"):
-        moving = companion - companion.mean()
-    usual, meanwhile = (float(np.sqrt(np.mean(part**2))) for part in (moving, moving[begin : end + 1]))
+        motion = companion - companion.mean()
+    usual_motion, motion_meanwhile = (
+        float(np.sqrt(np.mean(samples**2))) for samples in (motion, motion[begin : end + 1])
+    )
     if key[0] not in ("angle", "velocity"):
-        meanwhile = float(np.std(moving[begin : end + 1]))  # another constant level is no motion
+        motion_meanwhile = float(np.std(motion[begin : end + 1]))  # another constant level is no motion
     if (
-        usual == 0.0
-        or meanwhile < LEAST_COMPANION_MOTION * usual
+        usual_motion == 0.0
+        or motion_meanwhile < LEAST_COMPANION_MOTION * usual_motion
         or noise_of(companion) > 0.5 * float(np.std(companion))
     ):
-        return resting
-    resting[begin : end + 1] = True
-    return np.ones_like(resting) if resting.mean() > 1.0 - LEAST_FROZEN_SHARE else resting
+        return frozen
+    frozen[begin : end + 1] = True
+    return np.ones_like(frozen) if frozen.mean() > 1.0 - LEAST_FROZEN_SHARE else frozen
 
 
 def nan_where_unmeasured(clock: Clocked, key: Key) -> Array:
-    """Return a channel with NaN where it was not measured."""
+    """Return the values of a channel, with NaN where it was not measured."""
     return np.where(clock.all_valid(key), clock.values[key], np.nan)
 
 
 def longest_run(mask: Mask) -> tuple[int, int]:
-    """Return begin and end of the longest run of a mask, (0, 0) for an empty mask."""
+    """Return the begin and the end (exclusive) of the longest run of set samples; (0, 0) if none is set."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))).reshape(-1, 2)
     if len(edges) == 0:
         return 0, 0
@@ -162,7 +164,7 @@ def longest_run(mask: Mask) -> tuple[int, int]:
 
 
 def noisy_quantities(model: Model) -> tuple[str, ...]:
-    """Return the quantities that are measured: a voltage that a servo computes or a test commands may be constant."""
+    """Return the quantities that noise always changes; not a voltage that a servo computes or a test commands."""
     return (
         NOISY_QUANTITIES
         if model.drive is None and model.feedforward is None
@@ -187,8 +189,8 @@ def with_repeats_interpolated(record: Record, key: Key) -> Record:
     clock = record.fast
     if clock is None or key not in clock.values:
         return record
-    fresh = ~repeated_samples(clock, key)
-    return with_values(record, key, np.interp(clock.time, clock.time[fresh], clock.values[key][fresh]))
+    not_repeated = ~repeated_samples(clock, key)
+    return with_values(record, key, np.interp(clock.time, clock.time[not_repeated], clock.values[key][not_repeated]))
 
 
 def repeated_samples(clock: Clocked, key: Key) -> Mask:
@@ -204,17 +206,17 @@ def repeated_samples(clock: Clocked, key: Key) -> Mask:
 def find_clipped_channel(records: Sequence[Record], model: Model) -> SetUpFault | None:
     """Return the fault of a measured channel that stays at an end of its range, if there is one."""
     for key, clocks in channels_with_clocks(records, noisy_quantities(model)):
-        topped = {
-            name: top
+        clipped = {
+            name: mask
             for name, clock in clocks.items()
-            if has_own_noise(clock, key) and (top := samples_at_ends(clock, key)).any()
+            if has_own_noise(clock, key) and (mask := samples_at_ends(clock, key)).any()
         }
-        if topped:
-            level = max(float(np.max(np.abs(clocks[name].values[key]))) for name in topped)
-            runs = len({record.run for record in records if record.name in topped})
-            evidence = f"stands at {level:.6g} over {percent_text(topped.values())} of the samples of {runs} runs"
+        if clipped:
+            level = max(float(np.max(np.abs(clocks[name].values[key]))) for name in clipped)
+            runs = len({record.run for record in records if record.name in clipped})
+            evidence = f"stands at {level:.6g} over {percent_text(clipped.values())} of the samples of {runs} runs"
             parameters = (EffectParameter("level", level, 0.0, next(iter(clocks.values())).units.get(key, "")),)
-            mend = partial(without_samples, key=key, masks=topped)
+            mend = partial(without_samples, key=key, masks=clipped)
             change = "widen its range; these samples are left out"
             return SetUpFault(
                 "clipped_channel", key, FAULT_PROBABILITY, evidence, change, mend, parameters, shrinks=False
@@ -223,15 +225,15 @@ def find_clipped_channel(records: Sequence[Record], model: Model) -> SetUpFault 
 
 
 def initial_rest(values: Array) -> slice:
-    """Return the samples at zero before a channel first changes: a one-sided run begins at an end of its range."""
+    """Return the samples before a channel's first non-zero value; a one-sided run begins at an end of its range."""
     return slice(0, int(np.argmax(values != 0.0)))
 
 
 def has_own_noise(clock: Clocked, key: Key) -> bool:
-    """Return whether a channel has noise of its own, compared with its reference: a setpoint may stay at a limit."""
+    """Return whether a channel has noise, compared with its reference; a computed setpoint may stay at a limit."""
     reference, values = clock.get(f"{key[0]}_reference", key[1]), clock.values[key]
-    moving = values[np.diff(values, prepend=np.nan) != 0.0]  # repeated values would hide the noise
-    return reference is None or noise_of(moving, 0.0) >= LEAST_NOISE_RATIO * noise_of(reference, 0.0)
+    changed_values = values[np.diff(values, prepend=np.nan) != 0.0]  # repeated values would hide the noise
+    return reference is None or noise_of(changed_values, 0.0) >= LEAST_NOISE_RATIO * noise_of(reference, 0.0)
 
 
 def samples_at_ends(clock: Clocked, key: Key) -> Mask:
@@ -240,13 +242,13 @@ def samples_at_ends(clock: Clocked, key: Key) -> Mask:
     at_limit = np.zeros(len(values), np.bool_)
     if len(np.unique(values[np.isfinite(values)])) < min(FEWEST_FINE_LEVELS, len(values) // 4):
         return at_limit
-    still = np.concatenate([[False], np.diff(values) == 0.0])
-    ends = [values == np.nanmax(values), values == np.nanmin(values)]
-    if float(np.mean(still[~(ends[0] | ends[1])])) >= LEAST_CLIPPED_SHARE:
+    repeats = np.concatenate([[False], np.diff(values) == 0.0])
+    at_top, at_bottom = values == np.nanmax(values), values == np.nanmin(values)
+    if float(np.mean(repeats[~(at_top | at_bottom)])) >= LEAST_CLIPPED_SHARE:
         return at_limit  # the channel repeats samples elsewhere as well
-    for end in ends:
-        end[initial_rest(values)] = False
-        begin, stop = longest_run(end)
-        if stop - begin >= FEWEST_CLIPPED_IN_ROW and float(end.mean()) >= LEAST_CLIPPED_SHARE:
-            at_limit |= end
+    for at_end in (at_top, at_bottom):
+        at_end[initial_rest(values)] = False
+        begin, end = longest_run(at_end)
+        if end - begin >= FEWEST_CLIPPED_IN_ROW and float(at_end.mean()) >= LEAST_CLIPPED_SHARE:
+            at_limit |= at_end
     return at_limit

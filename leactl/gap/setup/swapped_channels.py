@@ -27,8 +27,8 @@ SWAPPABLE_CHANNELS = (
     ("angle_reference", "test"),
 )
 DIRECT_RELATIONS = {"velocity test", "current test", "torque", "angle to its reference"}  # hold on any machine
-MOST_TRIED_RUNS = 4  # runs tried with exchanged channels
-LEAST_SWAPPED_SHARE = 0.5  # of the runs with both channels: one mapping makes all of them, so most show a swap
+MOST_TRIED_RUNS = 4  # runs that are tried with exchanged channels
+LEAST_SWAPPED_SHARE = 0.5  # share of the runs with both channels that show a swap; one mapping makes all runs
 MOST_CLEAN_RATIO = 0.1  # noise of the column named current in a swap, over that of the column named reference
 LEAST_LEAD_SAMPLES = 0.1  # samples by which a current precedes its reference in a swap
 LATENESS_STDS = 3.0  # standard errors by which a lateness must exceed `LEAST_LEAD_SAMPLES` to count
@@ -41,25 +41,27 @@ def find_swap(records: Sequence[Record], model: Model) -> SetUpFault | None:
 
 
 def find_any_swap(records: Sequence[Record], model: Model) -> SetUpFault | None:
-    """Return the swap after whose exchange every direct relation holds that did not hold before."""
-    direct = {record.name: direct_relations(record, model) for record in records}
-    odd = {run: not all(relations) for run, relations in direct.items() if relations}
+    """Return the swap whose exchange makes every direct relation of the runs hold, if there is one."""
+    relations_by_run = {record.name: direct_relations(record, model) for record in records}
+    is_unusual_run = {run: not all(relations) for run, relations in relations_by_run.items() if relations}
     exchanges: list[tuple[int, Key, Key]] = []
     for first_key, second_key in combinations(SWAPPABLE_CHANNELS, 2):
         with_both = [
             record
             for record in records
-            if record.name in odd and has_channel(record, first_key) and has_channel(record, second_key)
+            if record.name in is_unusual_run and has_channel(record, first_key) and has_channel(record, second_key)
         ]
-        tried = [record for record in with_both if odd[record.name]][:MOST_TRIED_RUNS]
+        tried_records = [record for record in with_both if is_unusual_run[record.name]][:MOST_TRIED_RUNS]
         if {first_key, second_key} == {CURRENT, REFERENCE} or sum(
-            odd[record.name] for record in with_both
+            is_unusual_run[record.name] for record in with_both
         ) <= LEAST_SWAPPED_SHARE * len(with_both):
             continue
-        exchanged = [with_exchanged(record, first_key, second_key) for record in tried]
-        if all(all_direct(record, model) for record in exchanged):
-            score_before, score_after = (sum(score(record, model) for record in group) for group in (tried, exchanged))
-            if score_after - score_before >= 2 * len(tried):
+        exchanged_records = [with_exchanged(record, first_key, second_key) for record in tried_records]
+        if all(all_direct(record, model) for record in exchanged_records):
+            score_before, score_after = (
+                sum(score(record, model) for record in group) for group in (tried_records, exchanged_records)
+            )
+            if score_after - score_before >= 2 * len(tried_records):
                 exchanges.append((score_after - score_before, first_key, second_key))
     if not exchanges:
         return None
@@ -92,9 +94,11 @@ def score(record: Record, model: Model) -> int:
 
 def find_current_swap(records: Sequence[Record]) -> SetUpFault | None:
     """Return the swap of current and reference if the current precedes its reference, which has all the noise."""
-    early = [is_early(record) for record in records if has_channel(record, CURRENT) and has_channel(record, REFERENCE)]
-    known = [early_run for early_run in early if early_run is not None]
-    if not known or not all(known):
+    verdicts = [
+        is_early(record) for record in records if has_channel(record, CURRENT) and has_channel(record, REFERENCE)
+    ]
+    clear_verdicts = [verdict for verdict in verdicts if verdict is not None]
+    if not clear_verdicts or not all(clear_verdicts):
         return None
     fault = fault_of(CURRENT, REFERENCE, "the current goes ahead of its reference, and the reference has the noise")
     return replace(fault, shrinks=False)
@@ -112,8 +116,10 @@ def is_early(record: Record) -> bool | None:
     if not stretches:
         return None
     # a loop slow enough to filter that much noise would be late by more than a stamp can be wrong
-    late, error = stretches.mean()
-    return late < -LEAST_LEAD_SAMPLES if abs(late) > LEAST_LEAD_SAMPLES + LATENESS_STDS * error else None
+    mean_lateness, error = stretches.mean()
+    return (
+        mean_lateness < -LEAST_LEAD_SAMPLES if abs(mean_lateness) > LEAST_LEAD_SAMPLES + LATENESS_STDS * error else None
+    )
 
 
 def fault_of(first: Key, second: Key, evidence: str) -> SetUpFault:
@@ -128,10 +134,10 @@ def with_exchanged(record: Record, first: Key, second: Key) -> Record:
     clock = record.fast
     if clock is None or first not in clock.values or second not in clock.values:
         return record
-    exchanged = {first: second, second: first}
+    partner = {first: second, second: first}
 
-    def renamed(names: Sequence[Key]) -> Iterator[tuple[Key, Key]]:
-        return ((exchanged.get(name, name), name) for name in names)
+    def renamed(keys: Sequence[Key]) -> Iterator[tuple[Key, Key]]:
+        return ((partner.get(key, key), key) for key in keys)
 
     return replace(
         record,
