@@ -11,8 +11,9 @@ from leactl.gap.signals.record import Clocked
 def decimated(clock: Clocked, factor: int) -> Clocked:
     """Return a clock with one sample for each `factor` samples of this one; a rest at the end is dropped.
 
-    Of angles the last of these samples is kept. Every other channel, setpoints among them, becomes a mean over the
-    longer interval, which ends at the stamp. A sample is valid if all samples that it stands for are.
+    Of an angle that is logged at instants the last of these samples is kept. Every other channel, setpoints among them,
+    becomes a mean over the longer interval, which ends at the stamp. A sample is valid if all samples that it stands
+    for are.
     """
     rows = len(clock.time) // factor * factor
     ends = slice(factor - 1, rows, factor)

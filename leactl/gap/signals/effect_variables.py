@@ -14,16 +14,19 @@ Array = npt.NDArray[np.float64]
 
 
 def _rate(values: Array | None, interval: float) -> Array | None:
+    """Return the derivative [1/s] of a signal, or None without the signal."""
     return None if values is None else slope(values, interval)
 
 
 def _travel(s: Signals) -> Array | None:
+    """Return the distance [rad] from the last reversal, or None without an angle and a velocity."""
     if s.angle is None or s.velocity is None:
         return None
     return np.asarray(np.abs(s.angle - s.angle[last_reversal(s.velocity)]), np.float64)
 
 
 def _power(s: Signals) -> Array | None:
+    """Return the electrical power v_q i_q [W], or None without voltage and current."""
     return None if s.voltage is None or s.current is None else s.voltage * s.current
 
 
@@ -42,7 +45,7 @@ VARIABLE_FUNCTIONS: dict[Variable, Callable[[Signals], Array | None]] = {
     "housing_temperature": lambda s: s.housing,
     "time": lambda s: s.time,
 }
-"""Every variable from the signals of one run; None where the run does not show it."""
+"""Function that returns each variable from the signals of one run, or None if the run does not show it."""
 CURRENT_VARIABLES = ("q_axis_current", "current_rate")
 VARIABLES_WITH_RESIDUAL = {
     "free_torque": CURRENT_VARIABLES,
@@ -65,10 +68,10 @@ def state_in(equation: str, signals: Signals) -> dict[Variable, Array]:
 
 
 def hats(values: Array, knots: Array, period: float | None = None) -> Array:
-    """Return piecewise linear functions (hats), one at each knot, constant beyond the ends or periodic.
+    """Return piecewise linear functions (hats), one at each knot; constant beyond the ends, or periodic.
 
-    values : (n,) of a variable.
-    knots : (k,) in ascending order; within one period where there is one.
+    values : of a variable, shape (n,).
+    knots : in ascending order, shape (k,); within one period if the variable is periodic.
 
     Returns
     -------

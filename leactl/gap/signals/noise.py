@@ -15,12 +15,14 @@ def noise_of(values: Array, quantum: float | None = None) -> float:
     """Return the standard deviation of a channel's noise from its third differences, at least that of quantisation."""
     if len(values) < 8:
         return 0.0
+    # 0.6745: median of absolute values over standard deviation of normal noise; 20: variance of a third difference over
+    # that of a sample
     rough = float(np.median(np.abs(np.diff(values, 3))) / (0.6745 * np.sqrt(20.0)))
     return float(max(rough, (quantum if quantum is not None else quantum_of(values)) / np.sqrt(12.0)))
 
 
 def quantum_of(values: Array) -> float:
-    """Return the smallest step between two values of a channel, zero where nearly all values differ."""
+    """Return the smallest step between two values of a channel; zero if nearly all of its values differ."""
     levels = np.unique(values[: 1 << 14])
     if len(levels) < 2 or len(levels) > 0.9 * min(len(values), 1 << 14):
         return 0.0
@@ -50,11 +52,11 @@ def quiet_spectrum(values: Array) -> Array | None:
     count = len(values) // SEGMENT
     if count < 3:
         return None
-    parts = values[: count * SEGMENT].reshape(count, SEGMENT)
+    segments = values[: count * SEGMENT].reshape(count, SEGMENT)
     positions = np.linspace(-1.0, 1.0, SEGMENT)
     basis = np.linalg.qr(np.stack([positions**power for power in range(TREND_COEFFICIENTS)], axis=1))[0]
     window = np.hanning(SEGMENT)
-    spectra = np.abs(np.fft.rfft((parts - parts @ basis @ basis.T) * window, axis=1)) ** 2 / np.sum(window**2)
+    spectra = np.abs(np.fft.rfft((segments - segments @ basis @ basis.T) * window, axis=1)) ** 2 / np.sum(window**2)
     power = np.median(spectra, axis=0) / MEDIAN_OF_POWER
     quarter, half = len(power) // 4, len(power) // 2
     power[:TREND_COEFFICIENTS] = np.median(power[TREND_COEFFICIENTS:quarter])

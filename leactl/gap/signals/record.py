@@ -23,13 +23,13 @@ AMBIENT = "ambient_temperature"
 WINDING = ("winding_temperature", "test")
 FED_LOCATION, UNFED_LOCATION = "active", "inactive"  # locations of the phases that two leads feed, and of the third
 SLOW_QUANTITIES = ("winding_temperature", "housing_temperature", AMBIENT)
-FEWEST_SAMPLES = 50  # samples of a usable channel
+FEWEST_SAMPLES = 50  # finite samples of a usable channel
 NOTED_MISSING_SHARE = 0.2  # missing share of a channel's samples from which a note says so
 INTERPOLATION_REACH = 2.5  # intervals of a channel over which values are interpolated
 BURST_GAP_SHARE = 0.3  # share of a run's time in gaps from which its stamps come in bursts
 FEWEST_BURST_GAPS = 16  # gaps; with fewer, a run pauses or its clock jumps, and its stamps do not come in bursts
 INTERVAL_TOLERANCE = 0.1  # relative difference up to which a stretch takes its run's interval: jitter shifts a median
-MOST_DURATION_RATIO = 64.0  # duration of a run over that of its samples
+MOST_DURATION_RATIO = 64.0  # longest duration of a run, over the time that its samples take at their interval
 UNBRIDGED_SHARE = 0.05  # share of the time of bursts that stays in gaps
 LONG_GAP = 8  # samples; a gap of as many or more is not interpolated
 SMOOTHING_REACH = 12  # samples on either side of a long gap that smoothing reaches
@@ -47,7 +47,7 @@ class Clocked:
     means: set[Key] = field(default_factory=set)  # channels that are means over the interval that ends at the stamp
     unstamped: set[Key] = field(default_factory=set)  # channels of which the file does not say what a stamp means
     stamping: dict[str, Array] = field(default_factory=dict)  # by equation: weights of neighbouring samples
-    setpoints_between: bool = False  # whether setpoints change between the stamps, several in an interval
+    setpoints_between: bool = False  # whether setpoints change between the stamps, so that an interval has several
     setpoints_held: bool = False  # whether a run of the log shows that setpoints hold over an interval
     units: dict[Key, str] = field(default_factory=dict)
     counts: dict[Key, float] = field(default_factory=dict)  # smallest step of an angle; almost zero if interpolated
@@ -57,7 +57,7 @@ class Clocked:
     begin: float | None = None  # first stamp of the whole run, where this is a stretch
     fastest: float = 0.0  # rad/s or m/s, highest speed of the whole run, where this is a stretch
     decimation: int = 1  # samples of the log in one sample of this clock
-    aside: bool = False  # whether it only gives the temperatures of a stretch, and the whole run has their equations
+    aside: bool = False  # whether it only gives a stretch its temperatures; the whole run has the thermal equations
     # for a run read in stretches: means over all samples of the drive's clock in the interval after each stamp
     driven: dict[str, Array] = field(default_factory=dict)
 
@@ -133,17 +133,18 @@ class Record:
         clocks = [clock for clock in (self.fast, self.slow) if clock is not None and not clock.aside]
         begin, end = min(clock.time[0] for clock in clocks), max(clock.time[-1] for clock in clocks)
 
-        def masked(clock: Clocked | None, inside: bool) -> Clocked | None:
+        def masked(clock: Clocked | None, is_held_out: bool) -> Clocked | None:
             if clock is None:
                 return None
             stretch = ((clock.time - begin) / (end - begin) * STRETCHES).astype(np.intp)
-            keep = (stretch % HELD_OUT_EVERY == HELD_OUT_EVERY // 2) == inside
-            return replace(clock, valid={key: valid & keep for key, valid in clock.valid.items()})
+            is_kept = (stretch % HELD_OUT_EVERY == HELD_OUT_EVERY // 2) == is_held_out
+            return replace(clock, valid={key: valid & is_kept for key, valid in clock.valid.items()})
 
-        remaining, taken_out = (
-            replace(self, fast=masked(self.fast, inside), slow=masked(self.slow, inside)) for inside in (False, True)
+        remaining, held_out = (
+            replace(self, fast=masked(self.fast, is_held_out), slow=masked(self.slow, is_held_out))
+            for is_held_out in (False, True)
         )
-        return remaining, taken_out
+        return remaining, held_out
 
 
 def read_record(path: Path) -> Record:
@@ -158,30 +159,30 @@ def read_record(path: Path) -> Record:
         return record_of(run)
 
 
-def record_of(run: Run, channels: list[Channel] | None = None, usual: float | None = None) -> Record:
+def record_of(run: Run, channels: list[Channel] | None = None, usual_interval: float | None = None) -> Record:
     """Sort the channels of an open run, all of them or some.
 
     Parameters
     ----------
-    usual : s, sampling interval of the whole run, common to its stretches; by default that of the channels.
+    usual_interval : s, sampling interval of the whole run, common to its stretches; by default that of the channels.
 
     Raises
     ------
-    InputError : channels that cannot be used, or that were condemned; one line each.
+    InputError : channels that cannot be used, or that the reader condemned; one line each.
     """
     if channels is None:
-        read = [
+        quantity_channels = [
             channel
             for specs in run.streams.values()
             for spec in specs
             if spec.quantity
             for channel in run.channels(spec.quantity, spec.role)
         ]
-        channels = list({(c.stream, c.quantity, c.role, c.location): c for c in read}.values())
+        channels = list({(c.stream, c.quantity, c.role, c.location): c for c in quantity_channels}.values())
     kind = str(run.attributes.get("protocol") or run.mechanical)
     setup = {k: float(v) for k, v in run.setup.items() if isinstance(v, int | float)}
     condition = str(run.attributes.get("condition") or "")
-    return replace(build_record(run.path, kind, run.mechanical, channels, setup, usual), condition=condition)
+    return replace(build_record(run.path, kind, run.mechanical, channels, setup, usual_interval), condition=condition)
 
 
 def build_record(
@@ -190,9 +191,14 @@ def build_record(
     mechanical: str,
     channels: list[Channel],
     setup: dict[str, float],
-    usual: float | None = None,
+    usual_interval: float | None = None,
 ) -> Record:
-    """Sort channels onto a fast and a slow clock, the fast one at the run's usual interval where it is given."""
+    """Sort channels onto a fast and a slow clock, the fast one at the run's usual interval [s] if it is given.
+
+    Raises
+    ------
+    InputError : no channel has enough samples, or a clock jumps by more than can be interpolated.
+    """
     notes: list[str] = []
     usable = []
     for channel in with_bench_ambient(channels):
@@ -221,7 +227,7 @@ def build_record(
         )
     fast = [c for c in usable if not is_slow(c.quantity)]
     slow = [c for c in usable if is_slow(c.quantity)]
-    clocks = _on_clock(fast, notes, path, usual), _on_clock(slow, notes, path)
+    clocks = _on_clock(fast, notes, path, usual_interval), _on_clock(slow, notes, path)
     return Record(path, kind, mechanical, *clocks, setup, notes)
 
 
@@ -247,38 +253,50 @@ def may_rest(channel: Channel, mechanical: str) -> bool:
     return channel.quantity in ("drive_enabled", AMBIENT) or channel.quantity.endswith("_reference")
 
 
-def _on_clock(channels: list[Channel], notes: list[str], path: Path, usual: float | None = None) -> Clocked | None:
+def _on_clock(
+    channels: list[Channel], notes: list[str], path: Path, usual_interval: float | None = None
+) -> Clocked | None:
+    """Return channels interpolated to one even clock, that of the stream with most channels; None without channels.
+
+    Raises
+    ------
+    InputError : the clock jumps by more than can be interpolated.
+    """
     if not channels:
         return None
     streams: dict[str, list[Channel]] = {}
     for channel in channels:
         streams.setdefault(channel.stream, []).append(channel)
-    leading = max(streams.values(), key=lambda group: (len(group), len(group[0].time)))[0].time
-    own_interval = bridging_interval(leading)
-    if leading[-1] - leading[0] > MOST_DURATION_RATIO * own_interval * len(leading):
-        raise InputError(f"{path}: {longest_gap_text(leading)}; what it measures cannot be put on one clock")
+    leading_stamps = max(streams.values(), key=lambda group: (len(group), len(group[0].time)))[0].time
+    own_interval = bridging_interval(leading_stamps)
+    if leading_stamps[-1] - leading_stamps[0] > MOST_DURATION_RATIO * own_interval * len(leading_stamps):
+        raise InputError(f"{path}: {longest_gap_text(leading_stamps)}; what it measures cannot be put on one clock")
     grid, interval, even = even_grid(
-        leading,
-        own_interval if usual is None or abs(usual - own_interval) > INTERVAL_TOLERANCE * own_interval else usual,
+        leading_stamps,
+        own_interval
+        if usual_interval is None or abs(usual_interval - own_interval) > INTERVAL_TOLERANCE * own_interval
+        else usual_interval,
     )
     if not even:
         notes.append(f"{path.name}: stamps are uneven; values are taken in between at {1 / interval:.6g} Hz")
-    clocked = Clocked(leading if even else grid, interval)
-    grouped: dict[Key, list[Channel]] = {}
+    clocked = Clocked(leading_stamps if even else grid, interval)
+    channels_by_key: dict[Key, list[Channel]] = {}
     for channel in channels:
-        grouped.setdefault((channel.quantity, channel.role), []).append(channel)
-    for key, group in grouped.items():
+        channels_by_key.setdefault((channel.quantity, channel.role), []).append(channel)
+    for key, group in channels_by_key.items():
         values, valid = [], []
         for channel in group:
             finite = np.isfinite(channel.values)
-            on_leading_stamps = even and len(channel.time) == len(leading) and np.array_equal(channel.time, leading)
+            on_leading_stamps = (
+                even and len(channel.time) == len(leading_stamps) and np.array_equal(channel.time, leading_stamps)
+            )
             if on_leading_stamps and finite.all():
                 values.append(channel.values)
                 valid.append(finite)
                 continue
-            stamps = leading if on_leading_stamps else channel.time
+            stamps = leading_stamps if on_leading_stamps else channel.time
             reach = INTERPOLATION_REACH * max(
-                median_interval(channel.time), interval if interval > 1.5 * median_interval(leading) else 0.0
+                median_interval(channel.time), interval if interval > 1.5 * median_interval(leading_stamps) else 0.0
             )
             values.append(np.interp(clocked.time, stamps[finite], channel.values[finite]))
             if len(group) == 1:
@@ -304,21 +322,21 @@ def _on_clock(channels: list[Channel], notes: list[str], path: Path, usual: floa
     return clocked
 
 
-def even_grid(stamps: Array, usual: float) -> tuple[Array, float, bool]:
-    """Return evenly spaced times over stamps, their interval, and whether the stamps equal them but for jitter."""
+def even_grid(stamps: Array, usual_interval: float) -> tuple[Array, float, bool]:
+    """Return evenly spaced times over stamps, their interval [s], and whether the stamps equal them but for jitter."""
     span = stamps[-1] - stamps[0]
-    for interval in dict.fromkeys((usual, bridging_interval(stamps))):
+    for interval in dict.fromkeys((usual_interval, bridging_interval(stamps))):
         grid = stamps[0] + interval * np.arange(int(span / interval + 1.5))
         if is_even(grid, stamps):
             return grid, interval, True
     if is_even(grid := np.linspace(stamps[0], stamps[-1], len(stamps)), stamps):
         # stamps rounded to a few digits: their mean interval is right where the median is off by a digit
         return grid, float(span / (len(stamps) - 1)), True
-    return stamps[0] + usual * np.arange(int(span / usual + 1.5)), usual, False
+    return stamps[0] + usual_interval * np.arange(int(span / usual_interval + 1.5)), usual_interval, False
 
 
 def without_edges(valid: Mask) -> Mask:
-    """Return valid samples without those next to a long gap, into which smoothing carries interpolated values."""
+    """Return the valid samples that are not beside a long gap, from which smoothing carries interpolated values."""
     gaps = np.flatnonzero(np.diff(np.concatenate([[1], valid.astype(np.intp), [1]])))
     inner = valid.copy()
     for begin, end in gaps.reshape(-1, 2):
@@ -333,7 +351,7 @@ def winding_region(channel: Channel) -> str:
 
 
 def is_even(grid: Array, stamps: Array) -> bool:
-    """Return whether stamps lie on a grid but for jitter."""
+    """Return whether stamps lie on a grid to within 2 % of its interval."""
     return len(grid) == len(stamps) and float(np.max(np.abs(grid - stamps))) < 0.02 * float(grid[1] - grid[0])
 
 
@@ -345,15 +363,17 @@ def smallest_step(values: Array) -> float:
 
 
 def bridging_interval(stamps: Array) -> float:
-    """Return the median interval of stamps; for bursts, one so long that all but 5 % of the time is bridged."""
+    """Return the median interval of stamps [s]; for bursts, one that leaves `UNBRIDGED_SHARE` of the time in gaps."""
     steps = np.diff(stamps)
-    usual, span = float(np.median(steps)), float(stamps[-1] - stamps[0])
-    gaps = steps[steps > INTERPOLATION_REACH * usual]
+    usual_step, span = float(np.median(steps)), float(stamps[-1] - stamps[0])
+    gaps = steps[steps > INTERPOLATION_REACH * usual_step]
     if len(gaps) < FEWEST_BURST_GAPS or float(gaps.sum()) < BURST_GAP_SHARE * span:
-        return usual
-    ordered = np.sort(steps)
-    bridged = np.cumsum(ordered)
-    return float(ordered[np.searchsorted(bridged, (1.0 - UNBRIDGED_SHARE) * bridged[-1])] / INTERPOLATION_REACH)
+        return usual_step
+    sorted_steps = np.sort(steps)
+    bridged_time = np.cumsum(sorted_steps)
+    return float(
+        sorted_steps[np.searchsorted(bridged_time, (1.0 - UNBRIDGED_SHARE) * bridged_time[-1])] / INTERPOLATION_REACH
+    )
 
 
 def longest_gap_text(stamps: Array) -> str:
@@ -364,12 +384,12 @@ def longest_gap_text(stamps: Array) -> str:
 
 
 def median_interval(time: Array) -> float:
-    """Return the median interval of stamps; 0 for a single one."""
+    """Return the median interval of stamps [s]; 0 for a single stamp."""
     return float(np.median(np.diff(time))) if len(time) > 1 else 0.0
 
 
 def near_stamps(grid: Array, stamps: Array, reach: float) -> Mask:
-    """Return the grid times with a stamp within reach on both sides."""
+    """Return the mask of the grid times with a stamp within `reach` [s] on either side."""
     next_stamp = np.searchsorted(stamps, grid)
     previous_stamp = np.clip(next_stamp - 1, 0, len(stamps) - 1)
     next_stamp = np.clip(next_stamp, 0, len(stamps) - 1)

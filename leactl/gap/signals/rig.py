@@ -32,7 +32,7 @@ RIG_ENTRIES = ("drive_gain", "load_mass", "load_length", "load_arm_mass")  # set
 
 
 def drive_of(record: Record, model: Model) -> DriveModel | None:
-    """Return the servo of a run; None where no position servo drives it or the run lacks its reference."""
+    """Return the position servo of a run; None if the model has none or the run lacks its reference or angle."""
     clock = record.fast
     if model.drive is None or clock is None or clock.get("angle_reference") is None or clock.get("angle") is None:
         return None
@@ -55,7 +55,10 @@ class VoltageFeed(NamedTuple):
 
 
 def voltage_feed(record: Record, model: Model) -> VoltageFeed | None:
-    """Return how a logged voltage drives a free motor; None where a current, torque or servo's reference is logged."""
+    """Return how a logged voltage drives a free motor; None if no voltage is logged or a parameter is missing.
+
+    None, too, if a current, a torque or a servo's reference is logged and the model has no feedforward.
+    """
     clock = record.fast
     if clock is None or record.mechanical != "free" or clock.get("q_axis_voltage") is None:
         return None
@@ -79,10 +82,10 @@ def add_rig_signals(record: Record, s: Signals) -> None:
     servo = drive_of(record, model)
     if servo is not None and s.current is None and s.velocity is not None:
         servo_current(clock, servo, s)
-    if (supply := voltage_feed(record, model)) is not None and s.velocity is not None and s.voltage is not None:
+    if (feed := voltage_feed(record, model)) is not None and s.velocity is not None and s.voltage is not None:
         s.current = None  # with a feedforward the torque of a current is unknown
-        s.extra["fed"] = supply.gain * s.voltage
-        s.extra["fed_emf"] = -supply.damping * s.velocity
+        s.extra["fed"] = feed.gain * s.voltage
+        s.extra["fed_emf"] = -feed.damping * s.velocity
         if model.load.type != "none":
             s.torque = s.extra["fed"] + s.extra["fed_emf"]
     elif s.current is None and (torque := logged_torque(clock, model)) is not None:
@@ -106,13 +109,13 @@ def servo_current(clock: Clocked, servo: DriveModel, s: Signals) -> None:
         return
     reference, angle = clock.values["angle_reference", "test"], clock.values["angle", "test"]
     held_reference = np.concatenate([reference[:1], reference[:-1]])  # a reference holds until the next stamp
-    wanted = servo.gain * (held_reference - 0.5 * (angle + np.concatenate([angle[:1], angle[:-1]])))
-    volts = np.clip(wanted, -servo.voltage_limit, servo.voltage_limit)
+    demanded_volts = servo.gain * (held_reference - 0.5 * (angle + np.concatenate([angle[:1], angle[:-1]])))
+    volts = np.clip(demanded_volts, -servo.voltage_limit, servo.voltage_limit)
     enabled = clock.get("drive_enabled")
-    share = np.ones_like(volts) if enabled is None else (enabled > 0.5).astype(float)
-    s.extra["servo_share"] = smooth(share)
-    s.extra["servo_volts"] = smooth(share * volts)
-    s.extra["servo_slope"] = smooth(share * (np.abs(wanted) < servo.voltage_limit)) * servo.gain
+    enabled_share = np.ones_like(volts) if enabled is None else (enabled > 0.5).astype(float)
+    s.extra["servo_share"] = smooth(enabled_share)
+    s.extra["servo_volts"] = smooth(enabled_share * volts)
+    s.extra["servo_slope"] = smooth(enabled_share * (np.abs(demanded_volts) < servo.voltage_limit)) * servo.gain
     s.extra["servo_reference"] = smooth(held_reference)
     s.current = (s.extra["servo_volts"] - constant * s.extra["servo_share"] * s.velocity) / model.phase_resistance
 
@@ -132,22 +135,25 @@ def logged_torque(clock: Clocked, model: Model) -> Array | None:
 def is_creeping(clock: Clocked, velocity: Array) -> bool:
     """Return whether an axis moves by a few encoder counts a sample, too slowly for its speed to give its direction."""
     count = clock.counts.get(("angle", "test"), 0.0)
-    fast = float(np.quantile(np.abs(velocity), 0.95))
-    slow = fast < FASTEST_CREEP and fast * clock.interval < CREEP_COUNTS * count
-    return slow and float(np.ptp(clock.values["angle", "test"])) > CREEP_TRAVEL * count
+    fast_speed = float(np.quantile(np.abs(velocity), 0.95))
+    is_slow = fast_speed < FASTEST_CREEP and fast_speed * clock.interval < CREEP_COUNTS * count
+    return is_slow and float(np.ptp(clock.values["angle", "test"])) > CREEP_TRAVEL * count
 
 
-def creep_direction(angle: Array, width: float) -> Array:
-    """Return the direction of an angle's last move by more than `width`, -1 to 1; in between after a reversal."""
-    moved = angle - angle[0]
-    return np.asarray(np.clip((moved - play(moved, width)) / width, -1.0, 1.0), np.float64)
+def creep_direction(angle: Array, half_width: float) -> Array:
+    """Return the direction of an angle's motion: 1 or -1, and a value between them until a reversal exceeds the play.
+
+    half_width : rad, half the width of the play that the angle carries along.
+    """
+    travel = angle - angle[0]
+    return np.asarray(np.clip((travel - play(travel, half_width)) / half_width, -1.0, 1.0), np.float64)
 
 
 def moving_samples(s: Signals, count: float) -> Mask:
-    """Return the samples around which the axis moves in one direction, by its encoder and its own speeds."""
+    """Return the samples around which the axis moves in one direction, as fast as its encoder and its run can show."""
     assert s.velocity is not None
     if "creep" in s.extra:
         return np.asarray(np.abs(s.extra["creep"]) > 0.9)
     speed = np.abs(s.velocity)
-    slowest = max(0.2 * count / s.interval, SLOW_SHARE * max(s.fastest, float(np.quantile(speed, 0.95))))
-    return np.asarray(smooth((speed <= slowest).astype(float), STILL_REACH) < 1e-3)
+    still_speed = max(0.2 * count / s.interval, SLOW_SHARE * max(s.fastest, float(np.quantile(speed, 0.95))))
+    return np.asarray(smooth((speed <= still_speed).astype(float), STILL_REACH) < 1e-3)

@@ -24,12 +24,12 @@ def scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     clocks = [record.fast for record in records if record.fast is not None]
     if clocks:
         units["s"] = min(clock.interval for clock in clocks)
-        lasting = max(float(clock.since_begin[-1]) for clock in clocks)
+        longest_duration = max(float(clock.since_begin[-1]) for clock in clocks)
         if (speed := highest_speed(records, model)) > 0.0:
             units["rad/s"] = speed
             units["s/rad"] = 1.0 / speed
         if model.coulomb_friction:
-            units["N*m/s"] = model.coulomb_friction / lasting
+            units["N*m/s"] = model.coulomb_friction / longest_duration
     if model.coulomb_friction:
         units["N*m"] = units["N*m/rad"] = model.coulomb_friction
         if "rad/s" in units:
@@ -47,7 +47,7 @@ def scales(records: Sequence[Record], model: Model) -> dict[str, float]:
 
 def highest_speed(records: Sequence[Record], model: Model) -> float:
     """Return the highest speed of an angle in runs with a turning shaft, else the no-load speed; zero without both."""
-    reached = max(
+    highest_reached = max(
         (
             float(np.quantile(np.abs(np.diff(angle)), TOP_QUANTILE)) / record.fast.interval
             for record in records
@@ -56,19 +56,23 @@ def highest_speed(records: Sequence[Record], model: Model) -> float:
         ),
         default=0.0,
     )
-    if reached > 0.0 or not model.bench.bus_voltage or not model.back_emf_constant:
-        return reached
+    if highest_reached > 0.0 or not model.bench.bus_voltage or not model.back_emf_constant:
+        return highest_reached
     return model.bench.bus_voltage / model.back_emf_constant
 
 
 def worth_knowing(records: Sequence[Record], model: Model) -> dict[str, float]:
     """Return the smallest relevant size of each effect on a machine, without effects whose unit is not determined.
 
-    It is in the units of `EffectDefinition.smallest_worth_knowing`.
+    Sizes are in the units that `EffectDefinition.smallest_worth_knowing` names, not in multiples of the machine's.
     """
     units = scales(records, model)
-    least = {name: effect_definition(name).smallest_worth_knowing for name in effect_names()}
-    return {name: worth.size * units[worth.units] for name, worth in least.items() if worth.units in units}
+    smallest_sizes = {name: effect_definition(name).smallest_worth_knowing for name in effect_names()}
+    return {
+        name: smallest.size * units[smallest.units]
+        for name, smallest in smallest_sizes.items()
+        if smallest.units in units
+    }
 
 
 def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:
@@ -93,19 +97,19 @@ def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     units["velocity filter"] = time_constant(bench.velocity_filter_bandwidth, units["loop"])
     units["torque filter"] = time_constant(bench.torque_filter_bandwidth, units["loop"])
     turning = [(float(clock.since_begin[-1]), speed) for clock in clocks for speed in absolute_speeds(clock)]
-    if turning and (top := max(float(np.quantile(speed, TOP_QUANTILE)) for _, speed in turning)) > 0.0:
-        units["highest speed"] = top
+    if turning and (top_speed := max(float(np.quantile(speed, TOP_QUANTILE)) for _, speed in turning)) > 0.0:
+        units["highest speed"] = top_speed
         units["longest run"] = max(
-            lasting for lasting, speed in turning if np.quantile(speed, TOP_QUANTILE) > TURNING_SHARE * top
+            duration for duration, speed in turning if np.quantile(speed, TOP_QUANTILE) > TURNING_SHARE * top_speed
         )
     currents = [
         highest_value(clock, name) for clock in clocks for name in ("q_axis_current", "q_axis_current_reference")
     ]
-    if (top := max(currents)) > 0.0:
-        units["highest current"] = top
-        units["highest rate"] = top / units["loop"]
-    if model.torque_constant and (product := max(currents_at_speed(clocks), default=0.0)) > 0.0:
-        units["highest power"] = model.torque_constant * product
+    if (highest_current := max(currents)) > 0.0:
+        units["highest current"] = highest_current
+        units["highest rate"] = highest_current / units["loop"]
+    if model.torque_constant and (highest_product := max(currents_at_speed(clocks), default=0.0)) > 0.0:
+        units["highest power"] = model.torque_constant * highest_product
     return units
 
 

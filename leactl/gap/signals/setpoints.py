@@ -31,14 +31,15 @@ LEAP_RATIO = 0.7  # bend of a leap over the largest change nearby
 LEAP_WINDOW = 3  # rows on either side of a bend that count as nearby
 MOST_NEIGHBOUR_CHANGE = 0.05  # largest change of a reference in the rows next to a step, as a share of the step
 LEAST_LEAP_STDS = 20.0  # size of a leap that counts, in standard deviations of the current's usual residual
-LEAST_MISS_STDS = 5.0  # residual of a missed row in the same deviations
-LEAST_NEXT_ROW_STDS = (
-    5.0  # by which the next row's weight in a current is below zero where setpoints change between rows
-)
+LEAST_MISS_STDS = 5.0  # residual of a row that a current misses, in the same standard deviations
+# standard deviations by which the next row's weight in a current is below zero if setpoints change between rows
+LEAST_NEXT_ROW_STDS = 5.0
 FEWEST_MISSES = 3  # missed rows that show a change between rows
-FEWEST_FOLLOWED_STEPS = 3  # that show that rows hold
+FEWEST_FOLLOWED_STEPS = 3  # steps of a reference that a current follows if rows hold their setpoints
 LEAST_DOUBT_STDS = 4.0  # standard deviations of the next row's weight below zero that leave it open whether rows hold
-LEAST_MISSED_SHARE = 2e-3  # of the leaps' squares; rows that hold miss 1e-5, every second or fourth one 0.01 to 0.1
+# share of the leaps' squares that a current misses if setpoints change between rows: a log of every second or fourth
+# setpoint misses 0.01 to 0.1, one with all setpoints 1e-5
+LEAST_MISSED_SHARE = 2e-3
 BEND_SHARE = 1.0 / 24.0  # share of a bend over four rows by which the mean between the middle two differs from a line
 SETTLING_TIME_CONSTANTS = 8.0  # time constants of a current loop after which a leap has no influence
 RAMP_ROWS = 2.0 ** np.arange(-2.0, 8.5, 0.5)  # rows that the largest change takes at the rate limits that are tried
@@ -49,17 +50,17 @@ RATE_TOLERANCE = 0.002  # relative tolerance of the search for the best rate
 class ReferenceFollowing(NamedTuple):
     """How the current of one run follows its reference."""
 
-    missed: Array  # residual of the best sum of neighbours, in units of `noise`
-    leaping: Array  # size of the reference's leap, in units of `noise`
-    steps: Mask  # whether the reference steps within one row
-    foresight: tuple[float, float]  # weight of the next row, away from leaps, and its standard deviation
+    residuals: Array  # of the best sum of neighbouring rows, in units of `noise`
+    leap_sizes: Array  # of the reference at each row, in units of `noise`
+    is_step: Mask  # whether the reference steps within one row
+    next_row_weight: tuple[float, float]  # weight of the next row, away from leaps, and its standard deviation
     noise: float  # A, robust standard deviation of the residual
 
 
 class LimitedFollowing(NamedTuple):
     """How the currents of a log follow at the common rate limit that fits them best."""
 
-    shown: list[ReferenceFollowing]
+    followings: list[ReferenceFollowing]
     ramp: float  # rows that the largest change of a reference takes
 
 
@@ -70,20 +71,22 @@ def mark_setpoints(records: Sequence[Record], model: Model) -> list[Record]:
     """
     followed = [(record, following) for record in records if (following := follow(record, model)) is not None]
     followings = [following for _, following in followed]
-    leaping = [pair for pair in followed if (pair[1].leaping > LEAST_LEAP_STDS).any()]
-    leaps_missed = any(changes_between(following.missed, following.leaping) for following in followings)
-    next_row_evidence = stds_against_next_row([following.foresight for following in followings])
+    leaping_runs = [
+        (record, following) for record, following in followed if (following.leap_sizes > LEAST_LEAP_STDS).any()
+    ]
+    leaps_missed = any(changes_between(following.residuals, following.leap_sizes) for following in followings)
+    next_row_evidence = stds_against_next_row([following.next_row_weight for following in followings])
     changing = next_row_evidence > LEAST_NEXT_ROW_STDS
     if not changing and (
         leaps_missed or sum(int(misses(*following[:3]).sum()) for following in followings) >= FEWEST_MISSES
     ):
         # a rate limit explains misses as well; a long ramp cannot show whether rows hold
-        limited = follow_at_common_rate(leaping, model)
+        limited = follow_at_common_rate(leaping_runs, model)
         changing = leaps_missed and any(
-            changes_between(following.missed, following.leaping) for following in limited.shown
+            changes_between(following.residuals, following.leap_sizes) for following in limited.followings
         )
         if limited.ramp <= SHORT_RAMP_ROWS:
-            followings, leaps_missed = limited.shown, changing
+            followings, leaps_missed = limited.followings, changing
     holding = any(holds(*following[:3]) for following in followings) and not any(
         misses(*following[:3]).any() for following in followings
     )
@@ -101,64 +104,64 @@ def follow_at_common_rate(followed: Sequence[tuple[Record, ReferenceFollowing]],
 
     followed : each run, and how its current follows without a limit.
     """
-    swiftest = max(
+    fastest_rate = max(
         float(np.max(np.abs(np.diff(record.fast.values[REFERENCE])))) / record.fast.interval
         for record, _ in followed
         if record.fast is not None
     )
 
     def followings_at(log_rows: float) -> list[ReferenceFollowing]:
-        rate = swiftest / math.exp(log_rows)
+        rate = fastest_rate / math.exp(log_rows)
         return [
             limited
             for record, following in followed
             if (limited := follow(record, model, rate, following.noise)) is not None
         ]
 
-    def squares_missed(log_rows: float) -> float:
-        return sum(float(np.sum(following.missed**2)) for following in followings_at(log_rows))
+    def residual_squares(log_rows: float) -> float:
+        return sum(float(np.sum(following.residuals**2)) for following in followings_at(log_rows))
 
     grid = np.log(RAMP_ROWS)
-    best = int(np.argmin([squares_missed(following) for following in grid]))
+    best = int(np.argmin([residual_squares(log_rows) for log_rows in grid]))
     bounds = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    log_rows = float(minimize_scalar(squares_missed, bounds=bounds, options={"xatol": RATE_TOLERANCE}).x)
+    log_rows = float(minimize_scalar(residual_squares, bounds=bounds, options={"xatol": RATE_TOLERANCE}).x)
     return LimitedFollowing(followings_at(log_rows), math.exp(log_rows))
 
 
-def stds_against_next_row(shares: Sequence[tuple[float, float]]) -> float:
+def stds_against_next_row(weights_and_stds: Sequence[tuple[float, float]]) -> float:
     """Return how many standard deviations the next row's weight in the current, over all runs, is below zero.
 
     A cubic through four rows has a mean between the middle two with -1/24 of each outer one; two setpoints in an
     interval have a mean with -1/32. A current that is stamped too early gives the next row a weight above zero.
 
-    shares : weight in each run, and its standard deviation.
+    weights_and_stds : weight of the next row in each run, and its standard deviation.
     """
-    weights = [error**-2 for _, error in shares]
-    weighted_sum = sum(share * weight for (share, _), weight in zip(shares, weights, strict=True))
-    return -weighted_sum / math.sqrt(sum(weights)) if any(weights) else 0.0
+    precisions = [std**-2 for _, std in weights_and_stds]
+    weighted_sum = sum(weight * precision for (weight, _), precision in zip(weights_and_stds, precisions, strict=True))
+    return -weighted_sum / math.sqrt(sum(precisions)) if any(precisions) else 0.0
 
 
-def holds(missed: Array, leaping: Array, steps: Mask) -> bool:
+def holds(residuals: Array, leap_sizes: Array, is_step: Mask) -> bool:
     """Return whether the current follows every step of the reference, of at least `FEWEST_FOLLOWED_STEPS` steps."""
-    enough = int(np.sum(steps & (leaping > LEAST_LEAP_STDS))) >= FEWEST_FOLLOWED_STEPS
-    return enough and not bool(misses(missed, leaping, steps).any())
+    has_enough_steps = int(np.sum(is_step & (leap_sizes > LEAST_LEAP_STDS))) >= FEWEST_FOLLOWED_STEPS
+    return has_enough_steps and not bool(misses(residuals, leap_sizes, is_step).any())
 
 
-def misses(missed: Array, leaping: Array, steps: Mask) -> Mask:
+def misses(residuals: Array, leap_sizes: Array, is_step: Mask) -> Mask:
     """Return the steps of the reference that the current misses by more than noise and a filter explain."""
-    lost = (np.abs(missed) > LEAST_MISS_STDS) & (missed**2 > LEAST_MISSED_SHARE * leaping**2)
-    return np.asarray(steps & (leaping > LEAST_LEAP_STDS) & lost, np.bool_)
+    is_missed = (np.abs(residuals) > LEAST_MISS_STDS) & (residuals**2 > LEAST_MISSED_SHARE * leap_sizes**2)
+    return np.asarray(is_step & (leap_sizes > LEAST_LEAP_STDS) & is_missed, np.bool_)
 
 
-def changes_between(missed: Array, leaping: Array) -> bool:
+def changes_between(residuals: Array, leap_sizes: Array) -> bool:
     """Return whether a current misses its reference at the leaps by more squares than noise and rounding explain.
 
-    missed, leaping : by row, in standard deviations of the noise.
+    residuals, leap_sizes : by row, in standard deviations of the noise.
     """
-    telling = leaping > LEAST_LEAP_STDS
-    beyond = int(np.sum(np.abs(missed[telling]) > LEAST_MISS_STDS))
-    return beyond >= FEWEST_MISSES and float(np.sum(missed[telling] ** 2)) > LEAST_MISSED_SHARE * float(
-        np.sum(leaping[telling] ** 2)
+    is_leap = leap_sizes > LEAST_LEAP_STDS
+    missed_count = int(np.sum(np.abs(residuals[is_leap]) > LEAST_MISS_STDS))
+    return missed_count >= FEWEST_MISSES and float(np.sum(residuals[is_leap] ** 2)) > LEAST_MISSED_SHARE * float(
+        np.sum(leap_sizes[is_leap] ** 2)
     )
 
 
@@ -170,8 +173,9 @@ def follow(
     noise : A, unit of the residuals; by default their robust standard deviation. Where it is given, the weight of the
         next row is not fitted.
 
-    None without a current, its reference and a loop's bandwidth, with too few rows or no noise, where the file does not
-    say what its stamps mean, and where a servo inside the drive moves the reference between rows.
+    None is returned if the run has no current or no reference, too few rows or no noise; if the model has no bandwidth
+    of the loop; if the file does not say what its stamps mean; and if a servo inside the drive moves the reference
+    between rows.
     """
     clock, bandwidth = record.fast, model.bench.current_loop_bandwidth
     if clock is None or not bandwidth or not {CURRENT, REFERENCE} <= clock.values.keys():
@@ -183,43 +187,43 @@ def follow(
     command, begin = rate_limited(led_reference, largest_change), float(led_reference[0])
     ends, means = loop_response(command, bandwidth, clock.interval, begin, ramp_shares(command, largest_change, begin))
     following = means if CURRENT in clock.means else ends
-    used = clock.all_valid(CURRENT, REFERENCE) & ~at_ceiling(clock, model)
-    used[: TAPS[-1]] = used[TAPS[0] :] = False
-    sums = np.column_stack(
+    is_used = clock.all_valid(CURRENT, REFERENCE) & ~at_ceiling(clock, model)
+    is_used[: TAPS[-1]] = is_used[TAPS[0] :] = False
+    design = np.column_stack(
         [np.ones_like(following), following, *(neighbour(following, shift) for shift in TAPS.tolist())]
     )
-    if int(used.sum()) < 2 * sums.shape[1]:
+    if int(is_used.sum()) < 2 * design.shape[1]:
         return None
-    missed = current - sums @ np.linalg.lstsq(sums[used], current[used], rcond=None)[0]
-    foresight = 0.0, math.inf
+    residuals = current - design @ np.linalg.lstsq(design[is_used], current[is_used], rcond=None)[0]
+    next_row_weight = 0.0, math.inf
     if noise is None:
-        noise = float(np.median(np.abs(missed[used]))) / 0.6745
+        noise = float(np.median(np.abs(residuals[is_used]))) / 0.6745
         if noise == 0.0:
             return None
-        leapt = settling_rows(
+        is_near_leap = settling_rows(
             leaps(reference) > LEAST_LEAP_STDS * noise, 1.0 / (2.0 * math.pi * bandwidth), clock.interval
         )
-        calm = used & ~leapt
-        foresight = weight_of_next_row(sums[calm], current[calm])
+        is_calm = is_used & ~is_near_leap
+        next_row_weight = weight_of_next_row(design[is_calm], current[is_calm])
     return ReferenceFollowing(
-        missed[used] / noise, leaps(reference)[used] / noise, steps(reference)[used], foresight, noise
+        residuals[is_used] / noise, leaps(reference)[is_used] / noise, steps(reference)[is_used], next_row_weight, noise
     )
 
 
-def weight_of_next_row(sums: Array, current: Array) -> tuple[float, float]:
+def weight_of_next_row(design: Array, current: Array) -> tuple[float, float]:
     """Return the weight of the next row in a current, and its standard deviation; infinite if it is not determined.
 
-    sums : the loop's answer to the reference, at each row and at its neighbours (`TAPS`).
+    design : one, the loop's response to the reference at each row, and at its neighbours (`TAPS`), as columns.
     """
-    count = sums.shape[1]
+    count = design.shape[1]
     if len(current) < 2 * count:
         return 0.0, math.inf
-    weights, _, rank, _ = np.linalg.lstsq(sums, current, rcond=None)
+    weights, _, rank, _ = np.linalg.lstsq(design, current, rcond=None)
     if rank < count:
         return 0.0, math.inf
-    spread = float(np.sqrt(np.mean((current - sums @ weights) ** 2)))
+    residual_rms = float(np.sqrt(np.mean((current - design @ weights) ** 2)))
     next_row = 2 + TAPS.tolist().index(1)
-    return float(weights[next_row]), spread * float(np.linalg.norm(np.linalg.pinv(sums)[next_row])) or math.inf
+    return float(weights[next_row]), residual_rms * float(np.linalg.norm(np.linalg.pinv(design)[next_row])) or math.inf
 
 
 def leaps(reference: Array) -> Array:
@@ -241,11 +245,11 @@ def steps(reference: Array) -> Mask:
 
 
 def isolated_values(values: Array) -> Mask:
-    """Return the mask of values far larger than their neighbours (by more than 1 / `MOST_NEIGHBOUR_CHANGE`)."""
-    size = np.abs(values)
-    around = np.maximum(np.roll(size, 1), np.roll(size, -1))
-    around[[0, -1]] = math.inf
-    return np.asarray(around < MOST_NEIGHBOUR_CHANGE * size, np.bool_)
+    """Return the mask of values larger than both neighbours by a factor of more than 1 / `MOST_NEIGHBOUR_CHANGE`."""
+    sizes = np.abs(values)
+    largest_neighbour = np.maximum(np.roll(sizes, 1), np.roll(sizes, -1))
+    largest_neighbour[[0, -1]] = math.inf
+    return np.asarray(largest_neighbour < MOST_NEIGHBOUR_CHANGE * sizes, np.bool_)
 
 
 def bend(values: Array) -> Array:
@@ -253,19 +257,19 @@ def bend(values: Array) -> Array:
     return neighbour(values, 1) + neighbour(values, -2) - values - neighbour(values, -1)
 
 
-def rows_with_unknown_setpoints(reference: Array, noise: float, settles: float, interval: float) -> Mask:
+def rows_with_unknown_setpoints(reference: Array, noise: float, time_constant: float, interval: float) -> Mask:
     """Return the rows whose current depends on the course of the setpoint inside an interval: at leaps and bends.
 
     The rows while the loop settles are included. A curve between rows differs from a line by up to `BEND_SHARE` of its
     bend; bends below the noise do not count.
     """
     changing = (leaps(reference) > LEAST_LEAP_STDS * noise) | (np.abs(bend(reference)) > noise / BEND_SHARE)
-    return settling_rows(changing, settles, interval)
+    return settling_rows(changing, time_constant, interval)
 
 
-def settling_rows(changing: Mask, settles: float, interval: float) -> Mask:
+def settling_rows(changing: Mask, time_constant: float, interval: float) -> Mask:
     """Return the rows from one before each change until a loop with time constant `settles` [s] has settled."""
-    rows = 3 + math.ceil(SETTLING_TIME_CONSTANTS * settles / interval)
+    rows = 3 + math.ceil(SETTLING_TIME_CONSTANTS * time_constant / interval)
     return np.asarray(np.convolve(changing, np.ones(rows))[1 : len(changing) + 1] > 0.5, np.bool_)
 
 

@@ -16,12 +16,12 @@ FAST_REVERSAL_SPEED = 4.0  # smallest speed on either side of a fast reversal, o
 
 
 def smooth(values: Array, width: float = BASE_WIDTH) -> Array:
-    """Smooth values with a Gaussian of standard deviation `width` [samples]."""
+    """Return values smoothed with a Gaussian of standard deviation `width` [samples]."""
     return np.asarray(gaussian_filter1d(values, width, mode="nearest", truncate=KERNEL_REACH), np.float64)
 
 
 def slope(values: Array, interval: float) -> Array:
-    """Return the derivative per second, exact for cubics (five-point difference)."""
+    """Return the derivative [1/s] by five-point differences, exact for cubics except at two samples of either end."""
     if len(values) < 5:
         return np.gradient(values, interval)
     derivative = np.gradient(values, interval)
@@ -35,7 +35,7 @@ def speeds(angle: Array, interval: float) -> Array:
 
 
 def interval_means(values: Array) -> Array:
-    """Turn values at instants into means over the interval that ends at each, exact for cubics."""
+    """Return means over the interval that ends at each sample from values at the samples, exact for cubics inside."""
     means = np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1])])
     if len(values) >= 4:
         means[2:-1] = (13.0 * (values[1:-2] + values[2:-1]) - values[:-3] - values[3:]) / 24.0
@@ -72,7 +72,7 @@ def bent_mean_signs(speeds: Array, noise: float) -> Array:
         if not 3 <= sample < len(speeds) - 2:
             continue
         speed_before, speed_after = float(speeds[sample - 2]), float(speeds[sample + 1])
-        # per interval
+        # change per interval, of the line on either side of the reversal
         change_before, change_after = (
             speed_before - float(speeds[sample - 3]),
             float(speeds[sample + 2]) - speed_after,
@@ -83,23 +83,23 @@ def bent_mean_signs(speeds: Array, noise: float) -> Array:
             or speed_before * change_after >= 0.0
         ):
             continue
-        # in intervals
+        # intervals from each inner speed to the zero of its line
         times_to_zero, slopes = (
             np.array([-speed_before / change_before, -speed_after / change_after]),
             np.array([change_before, change_after]),
         )
-        share = slopes**2 / np.sum(slopes**2)
-        moment = float(share @ (np.array([sample - 2.5, sample + 0.5]) + times_to_zero))
-        moment_error = noise * float(
-            np.sqrt(np.sum(share**2 * ((1.0 + times_to_zero) ** 2 + times_to_zero**2) / slopes**2))
+        weights = slopes**2 / np.sum(slopes**2)
+        reversal = float(weights @ (np.array([sample - 2.5, sample + 0.5]) + times_to_zero))
+        reversal_error = noise * float(
+            np.sqrt(np.sum(weights**2 * ((1.0 + times_to_zero) ** 2 + times_to_zero**2) / slopes**2))
         )
-        even_moment = sample - 0.5 + 0.5 * float(signs[sample]) * np.sign(speed_before)  # where `mean_signs` has it
+        apparent_moment = sample - 0.5 + 0.5 * float(signs[sample]) * np.sign(speed_before)  # where `mean_signs` has it
         if (
-            LEAST_REVERSAL_SHIFT_STDS * moment_error < abs(moment - even_moment)
-            and abs(moment - (sample - 0.5)) < MOST_REVERSAL_SHIFT_SAMPLES
+            LEAST_REVERSAL_SHIFT_STDS * reversal_error < abs(reversal - apparent_moment)
+            and abs(reversal - (sample - 0.5)) < MOST_REVERSAL_SHIFT_SAMPLES
         ):
             ends = np.arange(sample - 1, sample + 2)
-            signs[ends] = np.sign(speed_before) * (2.0 * np.clip(moment - (ends - 1), 0.0, 1.0) - 1.0)
+            signs[ends] = np.sign(speed_before) * (2.0 * np.clip(reversal - (ends - 1), 0.0, 1.0) - 1.0)
     return signs
 
 
@@ -133,7 +133,7 @@ def noise_of_acceleration(noise: float, interval: float, width: float) -> float:
 
 
 def kernel(width: float) -> Array:
-    """Return Gaussian weights that sum to one."""
+    """Return Gaussian weights that sum to one, for a standard deviation of `width` samples."""
     reach = max(int(KERNEL_REACH * width + 0.5), 1)
     offsets = np.arange(-reach, reach + 1)
     weights = np.exp(-0.5 * (offsets / width) ** 2)
@@ -141,7 +141,10 @@ def kernel(width: float) -> Array:
 
 
 def smoothed_and_thinned(columns: Array, width: float, step: int) -> Array:
-    """Smooth columns and keep one row in `step`, of the rows whose whole kernel lies inside."""
+    """Return smoothed columns with one row in `step`, of the rows whose whole kernel lies inside.
+
+    width : samples, standard deviation of the Gaussian; zero for no smoothing.
+    """
     if width <= 0.0:
         return columns[::step]
     weights = kernel(width)

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from leactl.gap.signals.record import Clocked, Key, Record
 
 Array = npt.NDArray[np.float64]
-TAPS = np.array([-3, -2, -1, 1, 2, 3])  # samples
-TAP_PRIOR = 0.5  # standard deviation of a neighbour's weight
+TAPS = np.array([-3, -2, -1, 1, 2, 3])  # samples, shifts of the neighbours that stand for unknown stamps
+TAP_PRIOR = 0.5  # prior standard deviation of a neighbour's weight
 BETWEEN_SAMPLES = "reference_sampling_s"  # nuisance: when a drive's own servo moves its reference inside an interval
 
 
@@ -57,7 +57,7 @@ def lateness(weights: Array) -> float:
 
 
 def stamped(record: Record, weights: Mapping[str, Array]) -> Record:
-    """Return a run whose replay is stamped with these weights, by equation."""
+    """Return a run whose replay is stamped with these weights, by equation; the same run if its stamps are known."""
     if record.fast is None or not record.fast.unstamped:
         return record
     return replace(record, fast=replace(record.fast, stamping=dict(weights)))
@@ -70,11 +70,11 @@ def stamp_notes(weights: Mapping[str, Array], overdue: Sequence[str], latest: fl
     """
     if not weights:
         return ()
-    listed = ", ".join(f"{name} {lateness(taps):+.2f}" for name, taps in weights.items() if name not in overdue)
-    calibrated_lateness = f"; samples by which one side of an equation is late: {listed}" if listed else ""
+    lateness_text = ", ".join(f"{name} {lateness(taps):+.2f}" for name, taps in weights.items() if name not in overdue)
+    lateness_clause = f"; samples by which one side of an equation is late: {lateness_text}" if lateness_text else ""
     excuse = f"up to {latest:g} samples of its delay may be theirs all the same"
     return (
         "the files do not say what their stamps mean (no `sampling`): up to one sample of each channel is"
-        f" calibrated{calibrated_lateness}",
+        f" calibrated{lateness_clause}",
         *(f"one side of {name} is later than stamps can be; {excuse}" for name in overdue),
     )

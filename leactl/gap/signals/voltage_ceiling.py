@@ -14,16 +14,17 @@ CEILING_SHARE = 0.96  # share of the largest q-axis voltage from which a drive m
 def at_ceiling(clock: Clocked, model: Model) -> npt.NDArray[np.bool_]:
     """Return the samples at which the voltage, measured or else demanded by the reference, is at or above the ceiling.
 
-    Without any voltage, no sample is.
+    No sample is returned if the voltage or the model's bus voltage is not known.
     """
-    bus, volts = model.bench.bus_voltage, clock.get("q_axis_voltage")
-    if volts is None:
-        volts = demanded_voltage(clock, model)
-    if bus is None or volts is None:
+    bus_voltage, voltage = model.bench.bus_voltage, clock.get("q_axis_voltage")
+    if voltage is None:
+        voltage = demanded_voltage(clock, model)
+    if bus_voltage is None or voltage is None:
         return np.zeros(len(clock.time), np.bool_)
-    logged = clock.get("bus_voltage", "bench")
-    supply = bus if logged is None else np.fmin(logged, bus)  # a supply whose voltage sags lowers the ceiling
-    return np.asarray(np.abs(volts) > CEILING_SHARE * voltage_ceiling(1.0, model.winding) * supply, np.bool_)
+    logged_bus_voltage = clock.get("bus_voltage", "bench")
+    # a supply whose voltage sags lowers the ceiling
+    supply_voltage = bus_voltage if logged_bus_voltage is None else np.fmin(logged_bus_voltage, bus_voltage)
+    return np.asarray(np.abs(voltage) > CEILING_SHARE * voltage_ceiling(1.0, model.winding) * supply_voltage, np.bool_)
 
 
 def demanded_voltage(clock: Clocked, model: Model) -> Array | None:
