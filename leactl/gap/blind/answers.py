@@ -18,7 +18,7 @@ def case_names(cases: Path) -> list[str]:
 
     Raises
     ------
-    InputError : there is none.
+    InputError : the folder has no case.
     """
     names = sorted(path.parent.name for path in cases.glob(f"*/{MODEL_FILE}"))
     if not names:
@@ -27,13 +27,13 @@ def case_names(cases: Path) -> list[str]:
 
 
 def answer_all(cases: Path, answers: Path, workers: Workers, progress: Progress) -> list[str]:
-    """Diagnose the cases that have no answer yet; return the names of all.
+    """Diagnose the cases that have no answer yet; return the names of all cases.
 
     The last run of every kind is held out, the default of `leactl gap diagnose`.
 
     Raises
     ------
-    InputError : no case, or some that cannot be diagnosed.
+    InputError : the folder has no case, or a case cannot be diagnosed.
     """
     names = case_names(cases)
     answers.mkdir(parents=True, exist_ok=True)
@@ -53,11 +53,11 @@ def runs_of(case: Path) -> list[Path]:
 
 
 def write(out: Path, document: dict[str, Any]) -> None:
-    """Write a document whole or not at all, so that a stop never leaves half of one."""
+    """Write a document as JSON, whole or not at all, so that a stop never leaves half a file."""
     with replacement(out) as path:
         path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def read(folder: Path, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Return the document of every case of a folder."""
+    """Return the documents of these cases from a folder, by the name of the case."""
     return {name: json.loads((folder / f"{name}.json").read_text(encoding="utf-8")) for name in names}

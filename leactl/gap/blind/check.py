@@ -25,11 +25,11 @@ class Cases:
 
     @classmethod
     def side_by_side(cls, runs: Sequence[Path], keys: Sequence[Path], answers: Sequence[Path]) -> list[Self]:
-        """Combine folders that are given in the same order; by default answers go next to the runs.
+        """Return sets of cases from folders that are given in the same order; by default answers go next to the runs.
 
         Raises
         ------
-        InputError : there are not as many of each, or two sets would have their answers in one folder.
+        InputError : the numbers of folders differ, or two sets would have their answers in one folder.
         """
         if len(keys) != len(runs):
             raise InputError(f"--key: found {len(keys)} for {len(runs)} of --cases; give one for each, in their order")
@@ -52,27 +52,32 @@ def check(sets: Sequence[Cases], read_key: ReadKey, workers: Workers, progress: 
 
     Raises
     ------
-    InputError : cases that cannot be diagnosed, or a key that is not theirs.
+    InputError : a case cannot be diagnosed, or a key does not belong to the cases.
     """
-    for part in sets:
-        answer_all(part.runs, part.answers, workers, progress)
+    for cases in sets:
+        answer_all(cases.runs, cases.answers, workers, progress)
     marks: list[Mark] = []
-    for part in sets:
-        prefix = f"{part.runs.name}/" if len(sets) > 1 else ""
-        marks += marks_of(part, prefix, read_key(part.key, part.runs)["cases"], workers, progress)
+    for cases in sets:
+        prefix = f"{cases.runs.name}/" if len(sets) > 1 else ""
+        marks += marks_of(cases, prefix, read_key(cases.key, cases.runs)["cases"], workers, progress)
     return marks
 
 
-def marks_of(part: Cases, prefix: str, entries: Mapping[str, Any], workers: Workers, progress: Progress) -> list[Mark]:
-    """Mark the answers of one set against the entries of its key."""
-    names = case_names(part.runs)
-    missing = [f"{part.runs / name}: the key has no such case" for name in names if name not in entries]
+def marks_of(cases: Cases, prefix: str, entries: Mapping[str, Any], workers: Workers, progress: Progress) -> list[Mark]:
+    """Return the marks of the answers of one set of cases, by the entries of its key.
+
+    Raises
+    ------
+    InputError : the key lacks a case, or a case cannot be measured.
+    """
+    names = case_names(cases.runs)
+    missing = [f"{cases.runs / name}: the key has no such case" for name in names if name not in entries]
     if missing:
         raise InputError(missing)
-    truth_folder = part.answers / "told"
+    truth_folder = cases.answers / "told"
     truth_folder.mkdir(exist_ok=True)
     unmeasured = [name for name in names if not (truth_folder / f"{name}.json").exists()]
-    jobs = [(part.runs / name, entries[name], truth_folder / f"{name}.json") for name in unmeasured]
+    jobs = [(cases.runs / name, entries[name], truth_folder / f"{name}.json") for name in unmeasured]
     each(measure, jobs, workers, "told the truth", progress)
-    answers, measured = read(part.answers, names), read(truth_folder, names)
+    answers, measured = read(cases.answers, names), read(truth_folder, names)
     return [mark(f"{prefix}{name}", Truth.of(entries[name]), answers[name], measured[name]) for name in names]

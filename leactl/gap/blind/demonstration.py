@@ -27,12 +27,12 @@ class Demonstration:
 
     @property
     def cause(self) -> Cause | None:
-        """The planted effect among the named causes; None where it is not named."""
+        """The planted effect among the named causes; None if it is not named."""
         return next((cause for cause in named_causes(self.answer) if cause.effect == self.planted), None)
 
     @property
     def outcome(self) -> Outcome:
-        """Whether the planted effect is the one that is named."""
+        """Whether the planted effect is named alone, with others, or missed."""
         if self.cause is None:
             return "missed"
         return "named" if len(named_causes(self.answer)) == 1 else "named with others"
@@ -58,7 +58,7 @@ def demonstrate(cases: Path, out: Path, open_key: OpenKey, progress: Progress) -
 
     Raises
     ------
-    InputError : no case, one that cannot be diagnosed, or a key that is not its own.
+    InputError : the folder has no case, the case cannot be diagnosed, or the key is that of other cases.
     """
     [name] = case_names(cases)
     answer = diagnose(read_case(runs_of(cases / name), [], cases / name / MODEL_FILE), progress)

@@ -35,36 +35,36 @@ class Mark:
     causes: tuple[tuple[str, float], ...]  # effect and probability, as in the answer
     reported: tuple[str, ...]  # first cause, and the causes that it cannot be told from
     moved_right: bool | None  # whether `where` begins with the channel that the effects move most; None if none moves
-    left_right: bool | None  # the same for the channel with the largest gap after recalibration
-    closed: float | None  # closed share of the gap in that channel
-    oracle_closed: float | None  # the same of a diagnosis that knows the effects
+    left_right: bool | None  # whether it begins with the channel of the largest gap after recalibration
+    closed: float | None  # share of that channel's gap that the answer closes
+    oracle_closed: float | None  # share that a diagnosis closes which knows the effects
     departures: tuple[Departure, ...]
-    effect_closes: bool | None = None  # whether the effects narrow the held-out gap; None where none is named
-    calibration_closes: bool | None = None  # the same of recalibration alone; None where nothing is recalibrated
+    effect_closes: bool | None = None  # whether the effects narrow the held-out gap; None if no cause is named
+    calibration_closes: bool | None = None  # whether recalibration does so alone; None if nothing is recalibrated
 
     @property
     def first(self) -> str | None:
-        """Effect of the first cause; None without a cause."""
+        """Effect of the first cause; None if the answer has no cause."""
         return self.causes[0][0] if self.causes else None
 
     @property
     def first_probability(self) -> float:
-        """Probability of the first cause; zero without a cause."""
+        """Probability of the first cause; zero if the answer has no cause."""
         return self.causes[0][1] if self.causes else 0.0
 
     @property
     def first_right(self) -> bool:
-        """Whether the first cause truly acts, or is one that no record can tell from what acts."""
+        """Whether the first cause acts, or no record can tell it from an effect that acts."""
         return self.first in self.truth.guises
 
     @property
     def in_set(self) -> bool:
-        """Whether something of the reported set truly acts."""
+        """Whether the reported set has an effect that acts, or that no record can tell from one."""
         return any(name in self.truth.guises for name in self.reported)
 
     @property
     def all_named(self) -> bool:
-        """Whether everything that acts is named, at even odds or better or in the reported set."""
+        """Whether every effect that acts, or one like it, is named at even odds or better or in the reported set."""
         named = {*self.named, *self.reported}
         return all({name, *self.truth.alike.get(name, ())} & named for name in self.truth.effects)
 
@@ -75,7 +75,7 @@ class Mark:
 
     @property
     def names_what_is_not_there(self) -> bool:
-        """Whether any cause is named, first or further, that neither acts nor is alike to what acts."""
+        """Whether a cause is named, first or further, that neither acts nor is like an effect that acts."""
         return not set(self.named) <= self.truth.guises
 
     @property
@@ -85,12 +85,12 @@ class Mark:
 
     @property
     def sound(self) -> bool:
-        """Whether the answer is that nothing acts."""
+        """Whether the answer says that nothing acts."""
         return self.verdict in ("none", "calibration") and not self.named
 
     @property
-    def owned_up(self) -> bool:
-        """Whether the answer is that something acts which it cannot name."""
+    def says_unknown(self) -> bool:
+        """Whether the answer says that something acts, and names no cause."""
         return self.verdict == "unknown" and not self.names_a_cause
 
 
@@ -98,21 +98,21 @@ def mark(name: str, truth: Truth, answer: Document, measured: Document) -> Mark:
     """Compare one answer with the truth and with the measurements made with the key."""
     causes = tuple((cause["effect"], float(cause["probability"])) for cause in answer["causes"])
     first_cause: Sequence[Document] = answer["causes"][:1]
-    reported = tuple(n for cause in first_cause for n in (cause["effect"], *cause["indistinguishable_from"]))
+    reported = tuple(effect for cause in first_cause for effect in (cause["effect"], *cause["indistinguishable_from"]))
     closed = oracle_closed = None
-    moved_channels, left_channels = (
+    moved_channels, gap_channels = (
         most_moved_channels(measured["moved"], quantity) for quantity in ("by_effects", "after_calibration")
     )
-    if left_channels:
-        closed, oracle_closed = shares_closed(left_channels[0], answer["shrinkage"], measured["oracle"])
+    if gap_channels:
+        closed, oracle_closed = shares_closed(gap_channels[0], answer["shrinkage"], measured["oracle"])
     first_channel = channel_key(answer["where"][0]) if answer["where"] else None
     verdict = answer["verdict"]
     moved_right, left_right = (
-        first_channel in channels if channels else None for channels in (moved_channels, left_channels)
+        first_channel in channels if channels else None for channels in (moved_channels, gap_channels)
     )
     departures = tuple(departures_of(truth, answer["calibration"]))
-    lines = answer["shrinkage"]
-    some_named = any(probability >= NAMED_PROBABILITY for _, probability in causes)
+    shrinkage_lines = answer["shrinkage"]
+    names_a_cause = any(probability >= NAMED_PROBABILITY for _, probability in causes)
     return Mark(
         name,
         truth,
@@ -124,30 +124,36 @@ def mark(name: str, truth: Truth, answer: Document, measured: Document) -> Mark:
         closed,
         oracle_closed,
         departures,
-        narrows(lines, "calibrated_rms", "augmented_rms") if some_named else None,
-        narrows(lines, "nominal_rms", "calibrated_rms") if answer["calibration"] else None,
+        narrows(shrinkage_lines, "calibrated_rms", "augmented_rms") if names_a_cause else None,
+        narrows(shrinkage_lines, "nominal_rms", "calibrated_rms") if answer["calibration"] else None,
     )
 
 
-def narrows(lines: Sequence[Document], before: str, after: str) -> bool | None:
-    """Return whether a model is nearer to the held-out runs than another, over all channels in multiples of floors.
+def narrows(shrinkage_lines: Sequence[Document], rms_before: str, rms_after: str) -> bool | None:
+    """Return whether a model is as near to the held-out runs as another or nearer; None if no channel is replayed.
 
-    None where no channel is replayed.
+    Distances of all channels are added in multiples of their floors.
+
+    rms_before, rms_after : keys of the two models' distances in a line.
     """
-    usable = [line for line in lines if line["floor_rms"] and None not in (line[before], line[after])]
-    if not usable:
+    replayed_lines = [
+        line for line in shrinkage_lines if line["floor_rms"] and None not in (line[rms_before], line[rms_after])
+    ]
+    if not replayed_lines:
         return None
     squares_before, squares_after = (
-        sum((line[model] / line["floor_rms"]) ** 2 for line in usable) for model in (before, after)
+        sum((line[rms_key] / line["floor_rms"]) ** 2 for line in replayed_lines) for rms_key in (rms_before, rms_after)
     )
     return bool(squares_after <= MOST_EQUAL_RATIO * squares_before)
 
 
-def most_moved_channels(lines: Sequence[Document], by: str) -> list[tuple[str, str, str]]:
-    """Return the channels with the largest move and those nearly as large; none where all are below their floor."""
-    ranked = sorted(lines, key=lambda line: -float(line[by]))
-    most = float(ranked[0][by]) if ranked else 0.0
-    return [channel_key(line) for line in ranked if line[by] >= max(LEAST_MOVED_FLOORS, EQUAL_MOVE_SHARE * most)]
+def most_moved_channels(lines: Sequence[Document], distance: str) -> list[tuple[str, str, str]]:
+    """Return the channels with the largest distance and those nearly as large; none if all are below their floor."""
+    ranked = sorted(lines, key=lambda line: -float(line[distance]))
+    largest = float(ranked[0][distance]) if ranked else 0.0
+    return [
+        channel_key(line) for line in ranked if line[distance] >= max(LEAST_MOVED_FLOORS, EQUAL_MOVE_SHARE * largest)
+    ]
 
 
 def channel_key(line: Document) -> tuple[str, str, str]:
@@ -156,25 +162,27 @@ def channel_key(line: Document) -> tuple[str, str, str]:
 
 
 def shares_closed(
-    channel: tuple[str, str, str], answered: Sequence[Document], oracle_lines: Sequence[Document]
+    channel: tuple[str, str, str], answer_lines: Sequence[Document], oracle_lines: Sequence[Document]
 ) -> tuple[float | None, float | None]:
     """Return the shares of a channel's gap that an answer and the oracle close, by the oracle's gap and floor."""
-    answered_line = next((line for line in answered if channel_key(line) == channel), None)
+    answer_line = next((line for line in answer_lines if channel_key(line) == channel), None)
     oracle_line = next((line for line in oracle_lines if channel_key(line) == channel), None)
     if (
-        answered_line is None
+        answer_line is None
         or oracle_line is None
         or oracle_line["calibrated_rms"] <= LEAST_GAP_FLOORS * oracle_line["floor_rms"]
     ):
         return None, None
     gap = oracle_line["calibrated_rms"] - oracle_line["floor_rms"]
-    shares = [(oracle_line["calibrated_rms"] - line["augmented_rms"]) / gap for line in (answered_line, oracle_line)]
-    return shares[0], shares[1]
+    answer_share, oracle_share = [
+        (oracle_line["calibrated_rms"] - line["augmented_rms"]) / gap for line in (answer_line, oracle_line)
+    ]
+    return answer_share, oracle_share
 
 
 def departures_of(truth: Truth, calibration: Sequence[Document]) -> list[Departure]:
     """Return the departures of fitted parameters from the true ones, where the truth is one number."""
-    replaced = {REPLACED_PARAMETERS[name] for name in truth.effects if name in REPLACED_PARAMETERS} | {
+    excluded = {REPLACED_PARAMETERS[name] for name in truth.effects if name in REPLACED_PARAMETERS} | {
         DUPLICATE_PARAMETER,
         PARAMETER_WITHOUT_TRUTH,
     }
@@ -183,10 +191,10 @@ def departures_of(truth: Truth, calibration: Sequence[Document]) -> list[Departu
     if truth.ratios_to is not None:
         if truth.ratios_to not in fitted:
             return []
-        replaced |= {truth.ratios_to}
+        excluded |= {truth.ratios_to}
         reference, true_reference = fitted[truth.ratios_to], truth.base[truth.ratios_to]
     return [
         Departure(name, (line["fitted"] / reference - truth.base[name] / true_reference) / (line["std"] / reference))
         for line in calibration
-        if (name := line["parameter"]) not in replaced and name in truth.base and line["std"]
+        if (name := line["parameter"]) not in excluded and name in truth.base and line["std"]
     ]

@@ -11,8 +11,8 @@ from leactl.gap.blind.truth import BENCH_MACHINE
 
 Z = 1.959964  # standard deviations on either side that hold 95 %
 PROBABILITY_BINS = 10
-MOST_MEDIAN_DISTANCE = 0.03  # from the share that the oracle closes, for half of the cases
-MOST_USUAL_DISTANCE = 0.08  # the same for nine tenths of the cases
+MOST_MEDIAN_DISTANCE = 0.03  # largest distance from the share that the oracle closes, in half of the cases
+MOST_USUAL_DISTANCE = 0.08  # largest distance from the share that the oracle closes, in nine tenths of the cases
 MOST_PARAMETER_STDS = 2.0  # standard errors by which a calibrated parameter may differ from the truth
 Test = Callable[[Mark], bool]
 CASE_KINDS = ("single", "pair", "none", "unknown")
@@ -27,7 +27,7 @@ CHIEF_QUESTIONS = (PLAIN, FAINT, SOUND, OUTSIDE, NOT_THERE)  # questions that ar
 
 @dataclass(frozen=True)
 class Share:
-    """Count of a total, with the 95 % interval of Wilson (1927)."""
+    """Share of cases that pass a question, with the 95 % interval of Wilson (1927)."""
 
     question: str
     target: str
@@ -41,25 +41,27 @@ class Share:
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """The 95 % interval of the share."""
+        """The 95 % interval of the share; None for a total of zero."""
         if not self.total:
             return None
         n, p = self.total, self.count / self.total
         middle = (p + Z * Z / (2 * n)) / (1 + Z * Z / n)
-        half = Z / (1 + Z * Z / n) * math.sqrt(p * (1 - p) / n + Z * Z / (4 * n * n))
-        # rounding aside, all or none leave an end at one or zero
-        return max(middle - half, 0.0) if self.count else 0.0, min(middle + half, 1.0) if self.count < n else 1.0
+        half_width = Z / (1 + Z * Z / n) * math.sqrt(p * (1 - p) / n + Z * Z / (4 * n * n))
+        # without rounding errors, the interval of all or no cases ends at exactly one or zero
+        return max(middle - half_width, 0.0) if self.count else 0.0, min(
+            middle + half_width, 1.0
+        ) if self.count < n else 1.0
 
 
 @dataclass(frozen=True)
 class ProbabilityBin:
-    """Cases whose first cause has a probability between two tenths."""
+    """Cases whose first cause has a probability between `low` and `high`."""
 
     low: float
     high: float
     count: int
-    probability: float  # mean
-    right: float  # share
+    probability: float  # mean over the cases
+    right: float  # share of the cases whose reported set has an effect that acts
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ class Calibration:
     count: int
     base_rate: float
     error: float  # expected calibration error
-    skill: float | None  # of Brier against the base rate; None where all or none were right
+    skill: float | None  # Brier skill score against the base rate; None if all or no first causes were right
 
 
 @dataclass(frozen=True)
@@ -99,11 +101,11 @@ class Score:
 
     cases: int
     shares: tuple[Share, ...]
-    set_size: float | None  # mean of the reported sets where one effect acts
+    set_size: float | None  # mean size of the reported sets of cases in which one effect acts
     calibration: Calibration
-    calibration_of_named: Calibration  # of the cases with a cause alone
-    behind_oracle: tuple[float, float] | None  # median and 90 % quantile of the distance
-    parameters: tuple[Share, ...]  # within two standard errors, by parameter
+    calibration_of_named: Calibration  # of only the cases whose answer has a cause
+    behind_oracle: tuple[float, float] | None  # median and 90 % quantile of the distance from the oracle's share
+    parameters: tuple[Share, ...]  # of calibrations within two standard errors of the truth, by parameter
     misses: tuple[Miss, ...]
     groups: tuple[Group, ...] = ()
 
@@ -118,20 +120,23 @@ def score(marks: Sequence[Mark]) -> Score:
         for m in question.among
         if question.test(m) == question.target.startswith("<=")
     ]
-    known = [m for m in marks if m.truth.kind != "unknown"]
-    departures = [d for m in known for d in m.departures]
+    listed_marks = [m for m in marks if m.truth.kind != "unknown"]
+    departures = [departure for m in listed_marks for departure in m.departures]
     shares.append(share_within_stds("calibrated parameters within 2 standard errors of the truth", departures))
-    behind = [abs(m.closed - m.oracle_closed) for m in marks if m.closed is not None and m.oracle_closed is not None]
-    names = sorted({d.parameter for d in departures})
-    sets = [len(m.reported) for m in marks if m.truth.kind == "single" and m.reported]
+    distances = [abs(m.closed - m.oracle_closed) for m in marks if m.closed is not None and m.oracle_closed is not None]
+    parameters = sorted({departure.parameter for departure in departures})
+    set_sizes = [len(m.reported) for m in marks if m.truth.kind == "single" and m.reported]
     return Score(
         len(marks),
-        (*shares, *oracle_shares(behind)),
-        float(np.mean(sets)) if sets else None,
+        (*shares, *oracle_shares(distances)),
+        float(np.mean(set_sizes)) if set_sizes else None,
         calibration(marks),
         calibration([m for m in marks if m.causes]),
-        (float(np.median(behind)), float(np.quantile(behind, 0.9))) if behind else None,
-        tuple(share_within_stds(name, [d for d in departures if d.parameter == name]) for name in names),
+        (float(np.median(distances)), float(np.quantile(distances, 0.9))) if distances else None,
+        tuple(
+            share_within_stds(name, [departure for departure in departures if departure.parameter == name])
+            for name in parameters
+        ),
         tuple(misses),
         tuple(groups(marks)),
     )
@@ -149,16 +154,16 @@ class Question:
 
 def questions_about(marks: Sequence[Mark]) -> list[Question]:
     """Return every question about a set of cases; the targets for the bench are higher than for drawn machines."""
-    bench = all(m.truth.machine == BENCH_MACHINE for m in marks)
+    is_bench = all(m.truth.machine == BENCH_MACHINE for m in marks)
     single, pair, none, unknown = ([m for m in marks if m.truth.kind == kind] for kind in CASE_KINDS)
     faint = [m for m in single if m.truth.strength == "faint"]
     plain = [m for m in single if m.truth.strength != "faint"]
-    moved = [m for m in marks if m.moved_right is not None]
+    with_move = [m for m in marks if m.moved_right is not None]
     with_residual = [m for m in marks if m.left_right is not None]
     named = [m for m in marks if m.effect_closes is not None]
     recalibrated = [m for m in marks if m.calibration_closes is not None]
     return [
-        Question(text, on_bench if bench else on_machines, among, test)
+        Question(text, on_bench if is_bench else on_machines, among, test)
         for text, on_bench, on_machines, among, test in (
             (PLAIN, ">= 98 %", ">= 95 %", plain, lambda m: m.first_right),
             (FAINT, ">= 92 %", ">= 85 %", faint, lambda m: m.first_right),
@@ -167,11 +172,11 @@ def questions_about(marks: Sequence[Mark]) -> list[Question]:
             ("two effects: both named", ">= 85 %", ">= 85 %", pair, lambda m: m.all_named),
             (NOTHING, "<= 2 %", "<= 2 %", none, lambda m: m.names_a_cause),
             (SOUND, ">= 98 %", ">= 98 %", none, lambda m: m.sound),
-            (OUTSIDE, ">= 95 %", ">= 92 %", unknown, lambda m: m.owned_up),
+            (OUTSIDE, ">= 95 %", ">= 92 %", unknown, lambda m: m.says_unknown),
             (NOT_THERE, "<= 1.5 %", "<= 2 %", marks, lambda m: m.names_what_is_not_there),
             (GREW, "<= 0 %", "<= 0 %", named, lambda m: m.effect_closes is False),
             (WORSE, "<= 0 %", "<= 0 %", recalibrated, lambda m: m.calibration_closes is False),
-            ("first entry of `where`: what the effects move most", ">= 97 %", ">= 97 %", moved, moves_right),
+            ("first entry of `where`: what the effects move most", ">= 97 %", ">= 97 %", with_move, moves_right),
             (
                 "first entry of `where`: what calibration leaves most of",
                 ">= 97 %",
@@ -199,16 +204,16 @@ def share_of(question: Question) -> Share:
 
 
 def groups(marks: Sequence[Mark]) -> Iterator[Group]:
-    """Yield the chief questions by simulator, machine, strength and effect, if there is more than one of them."""
-    sorts: dict[str, Callable[[Mark], str]] = {
+    """Yield the chief questions by simulator, machine, strength and effect, for each of these that the cases vary."""
+    name_functions: dict[str, Callable[[Mark], str]] = {
         "simulator": lambda m: m.truth.simulator,
         "machine": lambda m: m.truth.machine,
         "strength": lambda m: m.truth.strength or "nothing wrong",
         "effect": lambda m: " + ".join(m.truth.effects or m.truth.unlisted) if m.truth.kind != "pair" else "",
     }
-    for property_name, name_of in sorts.items():
-        named = sorted({name_of(m) for m in marks} - {""})
-        for name in named if len(named) > 1 else []:
+    for property_name, name_of in name_functions.items():
+        names = sorted({name_of(m) for m in marks} - {""})
+        for name in names if len(names) > 1 else []:
             members = [m for m in marks if name_of(m) == name]
             shares = tuple(
                 share_of(question) for question in questions_about(members) if question.text in CHIEF_QUESTIONS
@@ -218,18 +223,24 @@ def groups(marks: Sequence[Mark]) -> Iterator[Group]:
 
 def share_within_stds(question: str, departures: Sequence[Departure]) -> Share:
     """Return the share of calibrated parameters within two standard errors of the truth."""
-    return Share(question, "92 to 98 %", sum(abs(d.stds) <= MOST_PARAMETER_STDS for d in departures), len(departures))
+    return Share(
+        question,
+        "92 to 98 %",
+        sum(abs(departure.stds) <= MOST_PARAMETER_STDS for departure in departures),
+        len(departures),
+    )
 
 
-def oracle_shares(behind: Sequence[float]) -> tuple[Share, Share]:
+def oracle_shares(distances: Sequence[float]) -> tuple[Share, Share]:
     """Return the shares of cases whose closed share of the gap is close to that of an oracle."""
-    median_case, most_cases = (
-        (sum(b <= bound for b in behind), bound) for bound in (MOST_MEDIAN_DISTANCE, MOST_USUAL_DISTANCE)
+    (median_count, median_bound), (usual_count, usual_bound) = (
+        (sum(distance <= bound for distance in distances), bound)
+        for bound in (MOST_MEDIAN_DISTANCE, MOST_USUAL_DISTANCE)
     )
     text = "share closed within {:.2f} of an oracle that is told the effect"
     return (
-        Share(text.format(median_case[1]), ">= 50 %", median_case[0], len(behind)),
-        Share(text.format(most_cases[1]), ">= 90 %", most_cases[0], len(behind)),
+        Share(text.format(median_bound), ">= 50 %", median_count, len(distances)),
+        Share(text.format(usual_bound), ">= 90 %", usual_count, len(distances)),
     )
 
 
@@ -240,17 +251,17 @@ def calibration(marks: Sequence[Mark]) -> Calibration:
     bins, error = [], 0.0
     bin_of_case = np.minimum((stated * PROBABILITY_BINS).astype(int), PROBABILITY_BINS - 1)
     for k in range(PROBABILITY_BINS):
-        inside = bin_of_case == k
-        if inside.any():
-            mean, share = float(stated[inside].mean()), float(right[inside].mean())
+        in_bin = bin_of_case == k
+        if in_bin.any():
+            mean, share = float(stated[in_bin].mean()), float(right[in_bin].mean())
             bins.append(
-                ProbabilityBin(k / PROBABILITY_BINS, (k + 1) / PROBABILITY_BINS, int(inside.sum()), mean, share)
+                ProbabilityBin(k / PROBABILITY_BINS, (k + 1) / PROBABILITY_BINS, int(in_bin.sum()), mean, share)
             )
-            error += float(inside.mean()) * abs(mean - share)
-    rate = float(right.mean()) if len(right) else 0.0
-    spread = rate * (1.0 - rate)
-    skill = 1.0 - float(np.mean((stated - right) ** 2)) / spread if spread > 0.0 else None
-    return Calibration(tuple(bins), len(marks), rate, error, skill)
+            error += float(in_bin.mean()) * abs(mean - share)
+    base_rate = float(right.mean()) if len(right) else 0.0
+    base_variance = base_rate * (1.0 - base_rate)
+    skill = 1.0 - float(np.mean((stated - right) ** 2)) / base_variance if base_variance > 0.0 else None
+    return Calibration(tuple(bins), len(marks), base_rate, error, skill)
 
 
 def truth_text(m: Mark) -> str:

@@ -30,7 +30,7 @@ from leactl.model.nominal import Model, as_mapping
 from leactl.vocabulary.effect import effect_definition
 
 UNKNOWN_EFFECT = "unknown"  # stands in the key for an effect outside the vocabulary
-BENCH_MACHINE = "emulated bench"  # machine of a key that names none: every case was of this bench then
+BENCH_MACHINE = "emulated bench"  # machine of a key that names no machine: only this bench had cases then
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Truth:
 
     kind: str  # none, single, pair, unknown
     effects: tuple[str, ...]  # of the vocabulary
-    unlisted: tuple[str, ...]
+    unlisted: tuple[str, ...]  # effects outside the vocabulary
     strength: str | None
     parameters: Mapping[str, Mapping[str, float]]
     base: Mapping[str, float]  # true parameters under the names of a model file
@@ -47,7 +47,7 @@ class Truth:
     alike: Mapping[str, Sequence[str]] = field(default_factory=dict)
     machine: str = BENCH_MACHINE
     simulator: str = BENCH_MACHINE
-    ratios_to: str | None = None  # parameter that no run determines: the others are compared as ratios to it
+    ratios_to: str | None = None  # parameter that no run determines; other parameters are compared as ratios to it
 
     @property
     def guises(self) -> set[str]:
@@ -66,18 +66,20 @@ class Truth:
 
 def measure(case: Path, entry: Mapping[str, Any], out: Path) -> None:
     """Measure a case with its key and write `moved`, moves by channel, and `oracle`, the shrinkage by known effects."""
-    truth, read = Truth.of(entry), read_case(runs_of(case), [], case / MODEL_FILE)
-    truths: dict[str, Any] = {"moved": [], "oracle": []}
+    truth, loaded_case = Truth.of(entry), read_case(runs_of(case), [], case / MODEL_FILE)
+    measured: dict[str, Any] = {"moved": [], "oracle": []}
     if truth.effects:
-        tuned, augmented, held_out = oracle(read, truth.effects)
-        truths["moved"] = [asdict(line) for line in moves_by_effects(read, truth, tuned)]
-        truths["oracle"] = [asdict(line) for line in shrinkage(held_out, read.model, tuned, augmented).shrinkage]
-    write(out, truths)
+        calibrated, augmented, held_out = oracle(loaded_case, truth.effects)
+        measured["moved"] = [asdict(line) for line in moves_by_effects(loaded_case, truth, calibrated)]
+        measured["oracle"] = [
+            asdict(line) for line in shrinkage(held_out, loaded_case.model, calibrated, augmented).shrinkage
+        ]
+    write(out, measured)
 
 
 @dataclass(frozen=True)
 class Moved:
-    """Distances of the true model with its effects in one channel, in floors."""
+    """Distances of the true model with its effects from two models without effects, in one channel, in floors."""
 
     quantity: str
     role: str
@@ -86,33 +88,33 @@ class Moved:
     after_calibration: float  # from the calibrated nominal model
 
 
-def moves_by_effects(case: Case, truth: Truth, tuned: Model) -> list[Moved]:
-    """Return how far the true effects move every channel of the held-out runs."""
-    true_without = true_model(case.model, truth.base)
-    true_with_effects = with_effects(true_without, [(name, truth.parameters[name]) for name in truth.effects])
+def moves_by_effects(case: Case, truth: Truth, calibrated: Model) -> list[Moved]:
+    """Return how far the true effects move every channel of the held-out runs from two models without them."""
+    without_effects = true_model(case.model, truth.base)
+    with_true_effects = with_effects(without_effects, [(name, truth.parameters[name]) for name in truth.effects])
     groups: dict[tuple[str, str, str], list[Compared]] = {}
-    for channel in shrinkage(case.held_out, true_without, tuned, true_with_effects).channels:
+    for channel in shrinkage(case.held_out, without_effects, calibrated, with_true_effects).channels:
         groups.setdefault((channel.quantity, channel.role, channel.mechanical), []).append(channel)
     return [Moved(*key, *(distance_in_floors(group, model) for model in (0, 1))) for key, group in groups.items()]
 
 
-def distance_in_floors(group: Sequence[Compared], model: int) -> float:
-    """Return the root mean square distance between a model and the last one, in floors."""
-    difference = np.concatenate([channel.replayed[model] - channel.replayed[-1] for channel in group])
+def distance_in_floors(group: Sequence[Compared], model_index: int) -> float:
+    """Return the root mean square distance between the replays of a model and of the last model, in floors."""
+    difference = np.concatenate([channel.replayed[model_index] - channel.replayed[-1] for channel in group])
     floor = np.concatenate([channel.floor_squares() for channel in group])
     return float(np.sqrt(np.mean(difference**2) / np.mean(floor)))
 
 
-def true_model(nominal: Model, base: Mapping[str, float]) -> Model:
+def true_model(nominal: Model, true_parameters: Mapping[str, float]) -> Model:
     """Return the nominal model with the true parameters of the bench."""
     document = as_mapping(nominal)
-    for name, value in base.items():
-        *path, entry = name.split(".")
+    for name, value in true_parameters.items():
+        *path, parameter = name.split(".")
         section = document
-        for part in path:
-            section = section.setdefault(part, {})
-        if path or entry in Model.model_fields:
-            section[entry] = value
+        for section_name in path:
+            section = section.setdefault(section_name, {})
+        if path or parameter in Model.model_fields:
+            section[parameter] = value
     return Model.model_validate(document)
 
 
@@ -127,10 +129,10 @@ def oracle(case: Case, effects: Sequence[str]) -> tuple[Model, Model, list[Recor
     evidence = Evidence(case.fitted, case.model, only=candidates)
     null.set_floors(evidence, null.measure(case.fitted, case.model, only=candidates))
     hypothesis = true_set(evidence, effects)
-    tuned = with_calibration(case.model, calibrated_parameters(evidence, evidence.settle([])))
+    calibrated = with_calibration(case.model, calibrated_parameters(evidence, evidence.settle([])))
     stamps = evidence.stamping(evidence.settle(hypothesis))
     augmented = model_with(case.model, evidence, hypothesis)
-    return tuned, augmented, [stamped(record, stamps) for record in case.held_out]
+    return calibrated, augmented, [stamped(record, stamps) for record in case.held_out]
 
 
 def true_set(evidence: Evidence, effects: Sequence[str]) -> list[Candidate]:
@@ -154,5 +156,5 @@ def true_set(evidence: Evidence, effects: Sequence[str]) -> list[Candidate]:
 
 
 def largest_size(effect: str) -> float:
-    """Return the largest size in which an effect is met."""
+    """Return `MOST_SIZE_RATIO` times the largest size of an effect in its definition."""
     return MOST_SIZE_RATIO * effect_definition(effect).largest

@@ -23,8 +23,9 @@ from leactl.gap.simulated.nominal import NominalOfSimulator
 from leactl.gap.simulated.simulator_effects import KnownEffect, known_effects, records_without
 from leactl.gap.verdict.decision import NAMED_PROBABILITY, verdict_of
 
-MOST_PRIORS_OFF = 3.0  # prior widths; a parameter that differs by more is that of another machine
-LEAST_DIFFERENCE = 0.02  # relative difference of a parameter that counts; inexact forms of effects make smaller ones
+MOST_DIFFERENCE_PRIORS = 3.0  # prior widths by which a parameter of the same machine differs at most
+# relative difference of a parameter that counts; inexact forms of effects make smaller differences
+LEAST_PARAMETER_DIFFERENCE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,16 +33,16 @@ class SizeInReal:
     """Size of a simulator's effect in the real runs, in the same form."""
 
     parameters: tuple[EffectParameter, ...]
-    differs: bool
-    shows: bool
+    differs: bool  # whether the size differs from the simulator's beyond both errors
+    shows: bool  # whether the real runs show the effect
 
 
 @dataclass(frozen=True, eq=False)
 class SideBySide:
     """Effects of both sides, fitted to the real runs together."""
 
-    of_simulator: dict[str, SizeInReal]
-    shown_too: tuple[str, ...]  # effects named beyond the simulator, which has them as well, too small to be named
+    of_simulator: dict[str, SizeInReal]  # by effect of the simulator
+    shown_in_both: tuple[str, ...]  # further effects of the real runs that the simulated runs show as much of
 
     @property
     def differing(self) -> list[str]:
@@ -51,15 +52,15 @@ class SideBySide:
     @property
     def alike(self) -> set[str]:
         """Effects of equal size in both, which are no gap."""
-        return {name for name, size in self.of_simulator.items() if not size.differs}.union(self.shown_too)
+        return {name for name, size in self.of_simulator.items() if not size.differs}.union(self.shown_in_both)
 
 
 def side_by_side(records: Sequence[Record], nominal: NominalOfSimulator, named: Sequence[Candidate]) -> SideBySide:
-    """Fit the simulator's effects to real runs, together with the effects named beyond them."""
-    known = [effect.candidate for effect in nominal.effects]
-    names = {name for name, _ in known}
-    beyond = [candidate for candidate in named if candidate[0] not in names]
-    hypothesis = [*known, *beyond]
+    """Fit the simulator's effects to real runs, together with the effects named beyond them, and compare the sizes."""
+    simulator_candidates = [effect.candidate for effect in nominal.effects]
+    simulator_names = {name for name, _ in simulator_candidates}
+    further_candidates = [candidate for candidate in named if candidate[0] not in simulator_names]
+    hypothesis = [*simulator_candidates, *further_candidates]
     evidence = Evidence(records, nominal.plain, only=hypothesis)
     if not hypothesis or not evidence.stack.rows:
         return SideBySide({}, ())
@@ -72,24 +73,28 @@ def side_by_side(records: Sequence[Record], nominal: NominalOfSimulator, named: 
         for effect in nominal.effects
         if (real := in_real.get(effect.name)) is not None and real.coefficients == effect.coefficients
     }
-    in_simulated = effects_in_simulator(nominal, beyond)
+    in_simulated = effects_in_simulator(nominal, further_candidates)
     shown_in_both = [
         name
-        for name, _ in beyond
+        for name, _ in further_candidates
         if name in in_real and name in in_simulated and not outgrows(in_real[name], in_simulated[name])
     ]
     return SideBySide(sizes, tuple(shown_in_both))
 
 
-def side_by_side_in_free_runs(nominal: NominalOfSimulator, alone: DiagnosisResult) -> SideBySide:
+def side_by_side_in_free_runs(nominal: NominalOfSimulator, answer_without_effects: DiagnosisResult) -> SideBySide:
     """Compare the simulator's effects with those of a servo's real runs, by the first parameter of each.
 
     The real runs were diagnosed against the simulator's parameters without its effects.
     """
-    real = {cause.effect: cause.parameters for cause in alone.causes if cause.probability >= NAMED_PROBABILITY}
+    real_parameters_of = {
+        cause.effect: cause.parameters
+        for cause in answer_without_effects.causes
+        if cause.probability >= NAMED_PROBABILITY
+    }
     sizes = {}
     for cause in nominal.causes:
-        simulated_parameters, real_parameters = cause.parameters, real.get(cause.effect, ())
+        simulated_parameters, real_parameters = cause.parameters, real_parameters_of.get(cause.effect, ())
         differs = not real_parameters
         if simulated_parameters and real_parameters:
             tolerance = max(
@@ -111,19 +116,19 @@ def effects_in_simulator(nominal: NominalOfSimulator, candidates: Sequence[Candi
 
 
 def outgrows(real: KnownEffect, simulated: KnownEffect) -> bool:
-    """Return whether an effect is larger in real runs than in simulated ones by the factor it needs over a floor."""
+    """Return whether the real runs alone show an effect, or show `ENTRY_HEIGHT` times the simulated runs' size."""
     return not simulated.shows or real.size > ENTRY_HEIGHT * simulated.size
 
 
-def without_shared_causes(answer: DiagnosisResult, both: SideBySide, parameters_differ: bool) -> DiagnosisResult:
+def without_shared_causes(answer: DiagnosisResult, comparison: SideBySide, parameters_differ: bool) -> DiagnosisResult:
     """Return the answer without the causes that the simulator shares, and with the verdict that follows.
 
     If no cause is named, a parameter or a size of a simulator's effect that differs beyond both errors asks for
     calibration.
     """
-    causes = tuple(cause for cause in answer.causes if cause.effect not in both.alike)
-    verdict = verdict_of(causes, answer.unexplained_probability, parameters_differ or bool(both.differing))
-    notes = tuple(f"not named: {name}; the simulated runs show as much of it" for name in both.shown_too)
+    causes = tuple(cause for cause in answer.causes if cause.effect not in comparison.alike)
+    verdict = verdict_of(causes, answer.unexplained_probability, parameters_differ or bool(comparison.differing))
+    notes = tuple(f"not named: {name}; the simulated runs show as much of it" for name in comparison.shown_in_both)
     return replace(answer, causes=causes, verdict=verdict, notes=(*notes, *answer.notes))
 
 
@@ -138,10 +143,13 @@ def compared_parameters(
 def _parameter(
     nominal: NominalOfSimulator, simulated: CalibratedParameter, real: CalibratedParameter | None
 ) -> EffectiveParameter:
+    """Return a parameter of both sides, and whether it differs beyond both errors and `LEAST_PARAMETER_DIFFERENCE`."""
     start = nominal_value(nominal.start, simulated.parameter)
     differs = False
     if real is not None and not (real.not_told_by_these_runs or simulated.not_told_by_these_runs):
-        tolerance = max(ENTRY_HEIGHT * math.hypot(real.std, simulated.std), LEAST_DIFFERENCE * abs(simulated.fitted))
+        tolerance = max(
+            ENTRY_HEIGHT * math.hypot(real.std, simulated.std), LEAST_PARAMETER_DIFFERENCE * abs(simulated.fitted)
+        )
         differs = abs(real.fitted - simulated.fitted) > tolerance
     return EffectiveParameter(
         simulated.parameter,
@@ -156,24 +164,28 @@ def _parameter(
 
 
 def simulator_effects(
-    nominal: NominalOfSimulator, both: SideBySide, faults: Sequence[SetUpFault]
+    nominal: NominalOfSimulator, comparison: SideBySide, faults: Sequence[SetUpFault]
 ) -> tuple[SimulatorEffect, ...]:
     """Return the simulator's faults of the set-up and its effects, and how the real runs have them."""
-    keys = {(fault.name, fault.key) for fault in faults}
+    real_faults = {(fault.name, fault.key) for fault in faults}
     effects = [
         SimulatorEffect(
-            fault.name, "alike" if (fault.name, fault.key) in keys else "absent", _sizes(fault.parameters), fault.peers
+            fault.name,
+            "alike" if (fault.name, fault.key) in real_faults else "absent",
+            _sizes(fault.parameters),
+            fault.peers,
         )
         for fault in nominal.faults
     ]
     for cause in nominal.causes:
-        size = both.of_simulator.get(cause.effect)
+        size = comparison.of_simulator.get(cause.effect)
         sizes = _sizes(cause.parameters, size.parameters if size is not None else ())
         effects.append(SimulatorEffect(cause.effect, _presence(size), sizes, cause.indistinguishable_from))
     return tuple(effects)
 
 
 def _presence(size: SizeInReal | None) -> Presence:
+    """Return how the real runs have an effect of the simulator; `size` is None if it was not fitted to them."""
     if size is None:
         return "not asked"
     if not size.differs:
@@ -182,32 +194,32 @@ def _presence(size: SizeInReal | None) -> Presence:
 
 
 def _sizes(simulated: Sequence[EffectParameter], real: Sequence[EffectParameter] = ()) -> tuple[SizeInBoth, ...]:
-    real_by_name = {item.name: item for item in real}
-    return tuple(_size_in_both(item, real_by_name.get(item.name)) for item in simulated)
+    real_by_name = {parameter.name: parameter for parameter in real}
+    return tuple(_size_in_both(parameter, real_by_name.get(parameter.name)) for parameter in simulated)
 
 
-def _size_in_both(item: EffectParameter, in_real: EffectParameter | None) -> SizeInBoth:
-    real, std = (None, None) if in_real is None else (in_real.value, in_real.std)
-    return SizeInBoth(item.name, item.value, item.std, real, std, item.units)
+def _size_in_both(simulated: EffectParameter, real: EffectParameter | None) -> SizeInBoth:
+    real_value, real_std = (None, None) if real is None else (real.value, real.std)
+    return SizeInBoth(simulated.name, simulated.value, simulated.std, real_value, real_std, simulated.units)
 
 
 def shared_faults(nominal: NominalOfSimulator, faults: Sequence[SetUpFault]) -> tuple[str, ...]:
     """Return notes on faults of the set-up that both sides have."""
-    known = {(fault.name, fault.key) for fault in nominal.faults}
+    simulator_faults = {(fault.name, fault.key) for fault in nominal.faults}
     return tuple(
         f"both sides have it, so it is not named: {fault.note()}"
         for fault in faults
-        if (fault.name, fault.key) in known
+        if (fault.name, fault.key) in simulator_faults
     )
 
 
 def other_machine_notes(calibration: Sequence[CalibratedParameter]) -> tuple[str, ...]:
-    """Return a note if fitted parameters of the real runs are far from the simulator's."""
-    far = [
+    """Return a note if fitted parameters of the real runs differ by more from the simulator's than one machine's do."""
+    departures = [
         f"{item.parameter} is {item.fitted / item.nominal:.3g} times the simulator's"
         for item in calibration
         if item.parameter in PRIORS
         and item.has_ratio
-        and abs(item.fitted / item.nominal - 1.0) > MOST_PRIORS_OFF * PRIORS[item.parameter]
+        and abs(item.fitted / item.nominal - 1.0) > MOST_DIFFERENCE_PRIORS * PRIORS[item.parameter]
     ]
-    return (f"is this the same machine? {', '.join(far)}",) if far else ()
+    return (f"is this the same machine? {', '.join(departures)}",) if departures else ()

@@ -39,7 +39,7 @@ class NominalOfSimulator:
     effects: tuple[KnownEffect, ...]  # effects that can be subtracted from equations
     causes: tuple[Cause, ...]  # effects of the model, in the form of an answer
     records: tuple[Record, ...]  # simulated runs that were fitted
-    by_free_runs: bool  # whether effects were fitted by simulating a position servo, not in equations
+    by_free_runs: bool  # whether effects were fitted by simulating a position servo instead of in equations
 
     @property
     def floors(self) -> tuple[SimulatorFloor, ...]:
@@ -62,7 +62,7 @@ class NominalOfSimulator:
         return {(line.quantity, line.role, line.mechanical): line.left_rms for line in self.floors}
 
     def without(self, names: Sequence[str]) -> Model:
-        """Return the nominal without some of its effects."""
+        """Return the nominal model without the effects in `names`."""
         remaining = [entry for entry in self.model.effects if entry.effect not in names]
         return self.model.model_copy(update={"effects": remaining})
 
@@ -70,7 +70,7 @@ class NominalOfSimulator:
 def nominal_of(
     fitted: Sequence[Record], held_out: Sequence[Record], model: Model, progress: Progress
 ) -> NominalOfSimulator:
-    """Fit a model's parameters to simulated runs, and diagnose their effects as those of real runs.
+    """Fit a model's parameters to simulated runs, and diagnose their effects as if they were real runs.
 
     Effects of the model file are dropped: the simulated runs show the simulator's.
 
@@ -85,15 +85,17 @@ def nominal_of(
     answer = diagnose_mended(replace(mended, model=start), faults, progress)
     augmented: Model = answer.extra["augmented"]
     base = augmented.model_copy(update={"effects": []})
-    present = {entry.effect for entry in augmented.effects}
-    causes = tuple(c for c in answer.causes if c.effect in present and c.probability >= NAMED_PROBABILITY)
+    applied_effects = {entry.effect for entry in augmented.effects}
+    causes = tuple(
+        cause for cause in answer.causes if cause.effect in applied_effects and cause.probability >= NAMED_PROBABILITY
+    )
     applied_forms = () if by_free_runs else answer.extra.get("standing", ())
-    candidates = [candidate for candidate in applied_forms if candidate[0] in present]
+    candidates = [candidate for candidate in applied_forms if candidate[0] in applied_effects]
     evidence = Evidence(mended.fitted, base, only=candidates)
     fit = evidence.settle(candidates)
     effects = known_effects(evidence, fit, candidates)
     sizes = {effect.name: effect_parameters(evidence, fit, effect.candidate) for effect in effects}
-    causes = tuple(replace(c, parameters=sizes.get(c.effect, c.parameters)) for c in causes)
+    causes = tuple(replace(cause, parameters=sizes.get(cause.effect, cause.parameters)) for cause in causes)
     entries = [(cause.effect, {item.name: item.value for item in cause.parameters}) for cause in causes]
     nominal_parameters = (replace(item, fitted=item.nominal) for item in calibrated_parameters(evidence, fit))
     return NominalOfSimulator(
@@ -111,32 +113,35 @@ def nominal_of(
 
 
 def near_start(records: Sequence[Record], model: Model) -> Model:
-    """Return the given model if the runs are near it, else with parameters fitted until they stay within their priors.
+    """Return the model with parameters fitted, up to `MOST_FITS` times, until no fit moves one by more than its prior.
 
-    Priors are those of a data sheet: a start farther off would bias the fit.
+    The model is unchanged if the first fit moves none. Priors are those of a data sheet: a start farther off would bias
+    the fit.
 
     Raises
     ------
-    InputError : a parameter ends at a bound: the runs are those of another machine.
+    InputError : a parameter ends at a bound, as one of another machine does.
     """
-    begin = model
+    given_model = model
     for _ in range(MOST_FITS):
         evidence = Evidence(records, model, only=[])
         if not evidence.stack.rows:
-            return begin
+            return given_model
         fitted = [
             item for item in calibrated_parameters(evidence, evidence.settle([])) if not item.not_told_by_these_runs
         ]
         if not any(is_far(item) for item in fitted):
             return model
         model = with_calibration(model, fitted)
-    ends = (
-        CalibratedParameter(i.parameter, nominal_value(begin, i.parameter) or 0.0, i.fitted, i.std, i.units)
-        for i in fitted
+    end_values = (
+        CalibratedParameter(
+            item.parameter, nominal_value(given_model, item.parameter) or 0.0, item.fitted, item.std, item.units
+        )
+        for item in fitted
     )
-    if bounded := [item for item in ends if is_at_bound(item)]:
-        values = ", ".join(f"{item.parameter} fits at {item.fitted:.4g} {item.units}" for item in bounded)
-        raise InputError(f"simulated runs: of another machine than the model {begin.name}: {values}")
+    if at_bounds := [item for item in end_values if is_at_bound(item)]:
+        values = ", ".join(f"{item.parameter} fits at {item.fitted:.4g} {item.units}" for item in at_bounds)
+        raise InputError(f"simulated runs: of another machine than the model {given_model.name}: {values}")
     return model
 
 

@@ -16,13 +16,14 @@ Kind = tuple[object, ...]
 def pair_runs(real: Sequence[Path], simulated: Sequence[Path]) -> tuple[SimulatedRun, ...]:
     """Return the simulated run with the same inputs for each real run.
 
-    A simulated run may belong to several real ones, as repeats of one experiment are. A run of the same name comes
-    first, else one of the same experiment, set-up and condition; of several such, those with the same inputs; of
-    several of these, the first belongs to the first real run, and so on.
+    A simulated run may belong to several real runs that repeat one experiment. A run of the same name is taken, else
+    runs of the same experiment, set-up and condition; of several such runs, those with the same inputs; of several
+    with the same inputs, the first belongs to the first real run, the second to the second, and so on.
 
     Raises
     ------
-    InputError : no run, or no single one, belongs to a real run, or it has other inputs; one line each.
+    InputError : a file is on both sides, or a real run has no simulated run, one with other inputs, or several that
+        cannot be told apart; one line each.
     """
     on_both_sides = {path.resolve() for path in real} & {path.resolve() for path in simulated}
     if on_both_sides:
@@ -46,7 +47,7 @@ def pair_runs(real: Sequence[Path], simulated: Sequence[Path]) -> tuple[Simulate
 
 
 def kind_of(run: Run) -> Kind:
-    """Return the properties that paired runs have in common."""
+    """Return the experiment, condition and set-up of a run, which paired runs have in common."""
     names = ("protocol", "condition")
     rig = (run.setup.get(name) for name in RIG_ENTRIES)
     return (*(str(run.attributes.get(name) or "") for name in names), run.mechanical, *rig)
@@ -60,22 +61,28 @@ class _Pairing:
         self._compared: dict[tuple[Path, Path], Mismatch | None] = {}
 
     def of(self, path: Path) -> SimulatedRun:
-        named = [candidate for candidate in self._simulated if candidate.stem == path.stem]
-        candidates = named or [
+        """Return the simulated run of a real run.
+
+        Raises
+        ------
+        InputError : no simulated run belongs to it, one with other inputs, or several that cannot be told apart.
+        """
+        same_name = [candidate for candidate in self._simulated if candidate.stem == path.stem]
+        candidates = same_name or [
             simulated_path
             for simulated_path, run in self._simulated.items()
             if kind_of(run) == kind_of(self._real[path])
         ]
         if not candidates:
-            raise InputError(f"{path}: no simulated run of its name, nor of {self._described(path)}")
+            raise InputError(f"{path}: no simulated run of its name, nor of {self._experiment_text(path)}")
         equal_inputs = [candidate for candidate in candidates if self._mismatch(path, candidate) is None]
         if not equal_inputs:
             nearest = min(candidates, key=lambda candidate: _share(self._mismatch(path, candidate)))
-            fault = self._mismatch(path, nearest)
-            assert fault is not None
-            raise InputError(f"{nearest}: {fault.text}")
+            difference = self._mismatch(path, nearest)
+            assert difference is not None
+            raise InputError(f"{nearest}: {difference.text}")
         if len(candidates) == 1:
-            return SimulatedRun(str(path), str(equal_inputs[0]), "name" if named else "experiment")
+            return SimulatedRun(str(path), str(equal_inputs[0]), "name" if same_name else "experiment")
         if len(equal_inputs) == 1:
             return SimulatedRun(str(path), str(equal_inputs[0]), "inputs")
         repeats = [
@@ -90,6 +97,7 @@ class _Pairing:
         return SimulatedRun(str(path), str(equal_inputs[repeats.index(path)]), "order")
 
     def _mismatch(self, path: Path, simulated_path: Path) -> Mismatch | None:
+        """Return the first difference of a pair's inputs, compared at the first call."""
         if (path, simulated_path) not in self._compared:
             self._compared[path, simulated_path] = self._compare(self._real[path], self._simulated[simulated_path])
         return self._compared[path, simulated_path]
@@ -101,11 +109,12 @@ class _Pairing:
             return Mismatch(1.0, f"its set-up is {simulated_name}, that of {real.path} is {real_name}")
         return mismatch(real, simulated)
 
-    def _described(self, path: Path) -> str:
+    def _experiment_text(self, path: Path) -> str:
         run = self._real[path]
         words = [run.attributes.get("protocol"), run.mechanical, run.attributes.get("condition")]
         return "its experiment (" + ", ".join(str(word) for word in words if word) + ")"
 
 
 def _share(difference: Mismatch | None) -> float:
+    """Return the share of samples that differ; zero for None, which is no difference."""
     return 0.0 if difference is None else difference.share

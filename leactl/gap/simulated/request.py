@@ -29,7 +29,7 @@ def requested_diagnosis(
 
     Raises
     ------
-    InputError : files that cannot be used, no model, or simulated runs of other inputs or of another machine.
+    InputError : files that cannot be used, no model, or simulated runs with other inputs or of another machine.
     """
     if not simulated:
         if model is None:
@@ -38,9 +38,9 @@ def requested_diagnosis(
     if model is not None:
         return diagnose_against(read_simulated_case(runs, held_out, model, simulated), progress)
     with TemporaryDirectory() as folder:
-        carried = Path(folder) / "model.yaml"
-        carried.write_text(carried_model(simulated), encoding="utf-8")
-        return diagnose_against(read_simulated_case(runs, held_out, carried, simulated), progress)
+        model_file = Path(folder) / "model.yaml"
+        model_file.write_text(carried_model(simulated), encoding="utf-8")
+        return diagnose_against(read_simulated_case(runs, held_out, model_file, simulated), progress)
 
 
 def carried_model(simulated: Sequence[Path]) -> str:
@@ -48,9 +48,9 @@ def carried_model(simulated: Sequence[Path]) -> str:
 
     Raises
     ------
-    InputError : files that cannot be used, runs without a model, or of several; one line each.
+    InputError : files that cannot be used, runs without a model, or with different models; one line each.
     """
-    texts: dict[str, Path] = {}
+    path_by_text: dict[str, Path] = {}
     faults = []
     for path in simulated:
         with Run.open(path) as run:
@@ -58,10 +58,10 @@ def carried_model(simulated: Sequence[Path]) -> str:
         if text is None:
             faults.append(f"{path}: carries no model; give the file of one that its fit begins with (--model)")
         else:
-            texts.setdefault(text, path)
-    if len(texts) > 1:
-        first, second, *_ = texts.values()
+            path_by_text.setdefault(text, path)
+    if len(path_by_text) > 1:
+        first, second, *_ = path_by_text.values()
         faults.append(f"{second}: carries another model than {first}; give the file of one (--model)")
     if faults:
         raise InputError(faults)
-    return next(iter(texts))
+    return next(iter(path_by_text))

@@ -26,9 +26,9 @@ class KnownEffect:
     """An effect with its fitted coefficients."""
 
     candidate: Candidate
-    coefficients: tuple[str, ...]
-    values: Array
-    covariance: Array
+    coefficients: tuple[str, ...]  # names
+    values: Array  # of the coefficients, shape (coefficients,)
+    covariance: Array  # shape (coefficients, coefficients)
 
     @property
     def name(self) -> str:
@@ -36,7 +36,7 @@ class KnownEffect:
         return self.candidate[0]
 
     def differs_from(self, other: "KnownEffect") -> bool:
-        """Return whether the sizes of an effect in two sets of runs differ beyond both errors and that of its form."""
+        """Return whether an effect's sizes in two sets of runs differ beyond both errors and the error of its form."""
         difference = self.values - other.values
         if float(np.linalg.norm(difference)) <= math.sqrt(FORM_ERROR) * self.size:
             return False
@@ -45,12 +45,12 @@ class KnownEffect:
 
     @property
     def size(self) -> float:
-        """Length of the vector of coefficients, which have one unit for one effect."""
+        """Length of the vector of coefficients, which all have the same unit in one effect."""
         return float(np.linalg.norm(self.values))
 
     @property
     def shows(self) -> bool:
-        """Whether the runs show the effect at all, beyond the error of its size."""
+        """Whether the runs show the effect beyond the error of its size."""
         return float(self.values @ np.linalg.pinv(self.covariance) @ self.values) > ENTRY_HEIGHT**2
 
 
@@ -67,9 +67,9 @@ def known_effects(evidence: Evidence, fit: Fit, candidates: Sequence[Candidate])
             continue
         widening = np.array([disagreement(normal, fit, index) for index in positions])
         covariance = fit.covariance[np.ix_(positions, positions)] * np.outer(widening, widening)
-        names = tuple(evidence.coefficient(column) for column in columns)
+        coefficients = tuple(evidence.coefficient(column) for column in columns)
         if np.isfinite(covariance).all():
-            effects.append(KnownEffect(candidate, names, fit.values[positions], covariance))
+            effects.append(KnownEffect(candidate, coefficients, fit.values[positions], covariance))
     return tuple(effects)
 
 
@@ -84,6 +84,7 @@ class Subtraction:
         return [self._without(equation) for equation in equations]
 
     def _without(self, equation: Equation) -> Equation:
+        """Return one equation less the effects."""
         left_over, shared = equation.left_over, dict(equation.shared)
         for effect in self.effects:
             name, form = effect.candidate
