@@ -293,7 +293,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     stamps = evidence.stamping(searched.fit)
     replayed = [stamped(record, stamps) for record in case.replayed()]
     if servo_runs:
-        replayed = servo_answer.with_delayed_references(replayed, case.model, fitted_sets.late)
+        replayed = servo_answer.with_delayed_references(replayed, case.model, fitted_sets.reference_delay)
     applied = apply(
         case.model,
         calibrated_alone,

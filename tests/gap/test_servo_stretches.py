@@ -16,7 +16,7 @@ def test_every_sample_is_scored(samples, forgets, runs):
     angle = np.zeros((runs, samples))
     logged = SimpleNamespace(
         angle=angle,
-        forgets=forgets,
+        memory_samples=forgets,
         enabled=np.ones_like(angle),
         gain=np.ones(runs),
         interval=0.01,

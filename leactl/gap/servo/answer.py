@@ -28,8 +28,8 @@ SIMULATED_EFFECTS = {name.partition(".")[0] for name in FREE_PARAMETERS if "." i
 ALLOWED_RMS_OVER_FLOOR = 3.0  # RMS error over floor that a replay without the rig's load zero and delay may have
 LEAST_LEAP_RATIO = 2.0  # step of the reference over the fastest step of the axis, above which the reference leaps
 TOP_STEP_QUANTILE = 0.99  # quantile of the axis' steps that counts as its fastest
-ARRIVAL_SHARE = 0.1  # of a leap; an axis this close to its reference has arrived
-STAMP_ERROR_FACTOR = 2.0  # times the mean square error that stamps hide, which is allowed in a replay
+ARRIVAL_SHARE = 0.1  # share of a leap; an axis this close to its reference has arrived
+STAMP_ERROR_FACTOR = 2.0  # mean square error that a replay may have, in multiples of the error hidden by stamps
 CONFIRMED_ERROR_RATIO = 0.95  # mean square error with an effect over that without, below which free runs confirm it
 
 
@@ -39,43 +39,50 @@ def judged_by_runs(model: Model, records: Sequence[Record]) -> bool:
     They do if a position servo drives a run, no run logs its q-axis current, the servo simulation includes every effect
     of the model, and the model has a torque constant, a phase resistance and a rotor inertia.
     """
-    known = all(entry.effect in SIMULATED_EFFECTS for entry in model.effects)
-    moves = model.torque_constant and model.phase_resistance and model.rotor_inertia
+    includes_all_effects = all(entry.effect in SIMULATED_EFFECTS for entry in model.effects)
+    has_motor_parameters = model.torque_constant and model.phase_resistance and model.rotor_inertia
     logs_current = any(record.fast is not None and record.fast.get("q_axis_current") is not None for record in records)
-    return bool(known and moves and not logs_current and runs_at_common_rate(records, model))
+    return bool(
+        includes_all_effects and has_motor_parameters and not logs_current and runs_at_common_rate(records, model)
+    )
 
 
-def rig_note(fitted_sets: FittedEffectSets, pendulum: bool, left_out: Sequence[Record]) -> tuple[str, ...]:
+def rig_note(fitted_sets: FittedEffectSets, has_pendulum: bool, left_out: Sequence[Record]) -> tuple[str, ...]:
     """Return notes on the load zero and the reference delay that free runs gave, and on runs left out of their fit."""
-    zero, late = fitted_sets.augmented.parameters["load_zero"], fitted_sets.late
-    hangs = f"the pendulum straight down at {zero:.3g} rad (replays go without) and " if pendulum else ""
-    note = f"free runs have {hangs}the reference {1e3 * late:.2g} ms late, which no model file holds"
+    load_zero, delay = fitted_sets.augmented.parameters["load_zero"], fitted_sets.reference_delay
+    pendulum_text = (
+        f"the pendulum straight down at {load_zero:.3g} rad (replays go without) and " if has_pendulum else ""
+    )
+    note = f"free runs have {pendulum_text}the reference {1e3 * delay:.2g} ms late, which no model file holds"
     if not left_out:
         return (note,)
     names = ", ".join(record.name for record in left_out)
     return note, f"not among the servo's free runs, for another pace or want of a reference: {names}"
 
 
-def with_delayed_references(records: Sequence[Record], model: Model, late: float) -> list[Record]:
-    """Delay the references of servo runs by `late` [s], so that a delay hidden by stamps is no error of the model."""
-    return [_shifted(record, late) if drive_of(record, model) is not None else record for record in records]
+def with_delayed_references(records: Sequence[Record], model: Model, delay: float) -> list[Record]:
+    """Return runs with servo references `delay` [s] later: a delay hidden by stamps is no error of the model."""
+    return [
+        _with_delayed_reference(record, delay) if drive_of(record, model) is not None else record for record in records
+    ]
 
 
-def _shifted(record: Record, late: float) -> Record:
+def _with_delayed_reference(record: Record, delay: float) -> Record:
+    """Return a run whose angle reference is `delay` [s] later."""
     clock = record.fast
     assert clock is not None
     key = ("angle_reference", "test")
-    values = clock.values | {key: delayed_rows(clock.values[key][None], late / clock.interval)[0]}
+    values = clock.values | {key: delayed_rows(clock.values[key][None], delay / clock.interval)[0]}
     return replace(record, fast=replace(clock, values=values))
 
 
 def causes(
-    fitted_sets: FittedEffectSets, balanced: Sequence[Cause], records: Sequence[Record], calibrated: Model
+    fitted_sets: FittedEffectSets, balance_causes: Sequence[Cause], records: Sequence[Record], calibrated: Model
 ) -> tuple[Cause, ...]:
     """Return causes from free runs, and from a balance of torques for effects that the simulation lacks.
 
-    No torque is logged, so the balance takes the model's: an effect that it proposes has to lower the mean square error
-    of replayed angles, or its probability is reduced.
+    No torque is logged, so that the balance uses the model's torque. An effect that it proposes has to lower the mean
+    square error of replayed angles; otherwise its probability is reduced.
     """
     from_free_runs = [
         Cause(
@@ -90,22 +97,23 @@ def causes(
         for item in fitted_sets.standing
     ]
     named = [_entry(cause) for cause in from_free_runs if cause.probability >= NAMED_PROBABILITY]
-    from_balance = [cause for cause in balanced if cause.effect not in SIMULATED_EFFECTS]
+    from_balance = [cause for cause in balance_causes if cause.effect not in SIMULATED_EFFECTS]
     if from_balance:
-        error_without, *with_each = mean_square_errors(
-            records, [with_effects(calibrated, [*named, *more]) for more in [[], *([_entry(c)] for c in from_balance)]]
+        error_without_causes, *errors_with_each = mean_square_errors(
+            records,
+            [with_effects(calibrated, [*named, *further]) for further in [[], *([_entry(c)] for c in from_balance)]],
         )
         from_balance = [
             cause
-            if closer < CONFIRMED_ERROR_RATIO * error_without
+            if error_with_cause < CONFIRMED_ERROR_RATIO * error_without_causes
             else replace(cause, probability=cause.probability * UNCONFIRMED_FACTOR)
-            for cause, closer in zip(from_balance, with_each, strict=True)
+            for cause, error_with_cause in zip(from_balance, errors_with_each, strict=True)
         ]
     return tuple(sorted([*from_free_runs, *from_balance], key=lambda cause: -cause.probability))
 
 
 def mean_square_errors(records: Sequence[Record], models: Sequence[Model]) -> list[float]:
-    """Replay runs with each model and return the mean square error [rad^2] of the angle, one per model."""
+    """Return the mean square error [rad^2] of the angle when runs are replayed with each model, by model."""
     jobs = [[Job(record, plant_of(model)) for record in records] for model in models]
     replay_all([job for jobs_of_model in jobs for job in jobs_of_model])
     squares = []
@@ -119,15 +127,16 @@ def mean_square_errors(records: Sequence[Record], models: Sequence[Model]) -> li
 
 
 def _entry(cause: Cause) -> tuple[str, dict[str, float]]:
+    """Return the effect of a cause with its parameters, as an entry of a model."""
     return cause.effect, {parameter.name: parameter.value for parameter in cause.parameters}
 
 
 def angle_error_ratios(shrinkage: Sequence[Shrinkage], records: Sequence[Record]) -> dict[tuple[str, str, str], float]:
     """Return the augmented model's mean square angle error over the allowed one, by (equation, quantity, set-up)."""
-    hidden = STAMP_ERROR_FACTOR * float(np.mean([error_hidden_by_stamps(record) for record in records]))
+    hidden_by_stamps = STAMP_ERROR_FACTOR * float(np.mean([error_hidden_by_stamps(record) for record in records]))
     return {
         ("free run", line.quantity, line.mechanical): line.augmented_rms**2
-        / ((ALLOWED_RMS_OVER_FLOOR * line.floor_rms) ** 2 + hidden)
+        / ((ALLOWED_RMS_OVER_FLOOR * line.floor_rms) ** 2 + hidden_by_stamps)
         for line in shrinkage
         if line.quantity == "angle"
     }
@@ -139,12 +148,14 @@ def error_hidden_by_stamps(record: Record) -> float:
     if clock is None or ("angle_reference", "test") not in clock.unstamped or clock.get("angle") is None:
         return 0.0
     reference, angle = clock.values["angle_reference", "test"], clock.values["angle", "test"]
-    moved, reference_change = np.abs(np.diff(angle)), np.abs(np.diff(reference))
-    error_size, on_its_way = np.abs(reference - angle)[1:], np.zeros(len(moved), np.bool_)
-    for leap in np.flatnonzero(reference_change > LEAST_LEAP_RATIO * float(np.quantile(moved, TOP_STEP_QUANTILE))):
-        arrived = np.flatnonzero(error_size[leap:] < ARRIVAL_SHARE * reference_change[leap])
-        on_its_way[leap : leap + arrived[0] if len(arrived) else None] = True
-    return float(np.sum(moved[on_its_way] ** 2)) / (12.0 * len(angle))
+    angle_change, reference_change = np.abs(np.diff(angle)), np.abs(np.diff(reference))
+    distance, is_moving = np.abs(reference - angle)[1:], np.zeros(len(angle_change), np.bool_)
+    for leap in np.flatnonzero(
+        reference_change > LEAST_LEAP_RATIO * float(np.quantile(angle_change, TOP_STEP_QUANTILE))
+    ):
+        arrival = np.flatnonzero(distance[leap:] < ARRIVAL_SHARE * reference_change[leap])
+        is_moving[leap : leap + arrival[0] if len(arrival) else None] = True
+    return float(np.sum(angle_change[is_moving] ** 2)) / (12.0 * len(angle))
 
 
 def parameters_with_units(effect: str, fitted: Mapping[str, tuple[float, float]]) -> tuple[EffectParameter, ...]:

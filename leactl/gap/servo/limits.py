@@ -13,7 +13,7 @@ from leactl.gap.servo.simulation import FINEST_RESOLUTION, Parameters
 
 Array = npt.NDArray[np.float64]
 DRIVE_EFFECTS = frozenset({"reference_rate_limit", "servo_dead_band"})
-SPEED_LIMIT_SHARES = (0.1, 0.2, 0.35, 0.6, 0.9, 1.3)  # of the top speed: limits from which fits begin
+SPEED_LIMIT_SHARES = (0.1, 0.2, 0.35, 0.6, 0.9, 1.3)  # speed limits from which fits begin, over the top speed
 ACCELERATION_GRID = (0.01, 1.0, 3.0, 10.0, 30.0)  # inverse accelerations, in `runs.scales[SLUGGISHNESS]` [s^2/rad]
 DEAD_BAND_COUNTS = (3.0, 6.0, 12.0, 25.0, 50.0)  # widths in counts of the encoder, from which fits begin
 SPEED_SPAN = 4  # samples over which a speed is taken, so that encoder counts hardly change it
@@ -23,20 +23,22 @@ LEAST_REFERENCE_RATIO = 0.8  # fastest change of the reference over the top spee
 LEAST_RAMP_SAMPLES = 2.0  # samples to the top speed at the acceleration limit, above which that limit acts
 STARTS_OF_FIRST_BASE = 2  # best points of the first base's grid; one less for each further base
 LEAST_BAND_COUNTS = 2.0  # encoder counts; a narrower dead band is the controller's own quantisation
-LEAST_STDS = 2.0  # inverse limit over its standard error; below, there is no limit
+LEAST_STDS = 2.0  # inverse limit over its standard error, below which there is no limit
 
 
 def drive_starts(runs: ServoRuns, bases: Sequence[Parameters]) -> dict[str, list[Parameters]]:
     """Return the starts of fits of a limited profile and a dead band: the best points of a grid with each base.
 
-    A start includes the base's parameters: a fit without the limit may have changed them to compensate for it.
+    A start includes the base's parameters, which a fit without the limit may have changed to compensate for it.
     """
     top = top_speed(runs)
     if top <= 0.0:
         return {}
-    ramps = runs.scales[SLUGGISHNESS] * np.array(ACCELERATION_GRID)
+    inverse_accelerations = runs.scales[SLUGGISHNESS] * np.array(ACCELERATION_GRID)
     profiles = [
-        {SLOWNESS: 1.0 / (share * top), SLUGGISHNESS: float(ramp)} for share in SPEED_LIMIT_SHARES for ramp in ramps
+        {SLOWNESS: 1.0 / (share * top), SLUGGISHNESS: float(inverse_acceleration)}
+        for share in SPEED_LIMIT_SHARES
+        for inverse_acceleration in inverse_accelerations
     ]
     bands = [
         {"servo_dead_band.band": counts * max(runs.encoder_resolution, FINEST_RESOLUTION)}
@@ -46,10 +48,12 @@ def drive_starts(runs: ServoRuns, bases: Sequence[Parameters]) -> dict[str, list
     grids = {"servo_dead_band": bands} | (
         {"reference_rate_limit": profiles} if float(np.max(reference_speeds)) > LEAST_REFERENCE_RATIO * top else {}
     )
-    measured, starts = MeasuredServoRuns(runs), {}
+    measured_runs, starts = MeasuredServoRuns(runs), {}
     for effect, grid in grids.items():
         points = [base | point for base in bases for point in grid]
-        costs = np.nan_to_num([cost(error) for error in measured.of(points)], nan=np.inf).reshape(len(bases), -1)
+        costs = np.nan_to_num([cost(error) for error in measured_runs.residuals(points)], nan=np.inf).reshape(
+            len(bases), -1
+        )
         starts[effect] = [
             points[base * len(grid) + k]
             for base, base_costs in enumerate(costs)
@@ -76,7 +80,7 @@ def top_speed(runs: ServoRuns) -> float:
 
 
 def to_fit_parameters(effect: str, defined: Mapping[str, float]) -> dict[str, float]:
-    """Convert an effect's parameters to the simulation's: limits become inverse limits, and 0 (no limit) stays 0."""
+    """Return an effect's parameters as the simulation has them: a limit as its inverse, and 0 (no limit) as 0."""
     if effect != "reference_rate_limit":
         return dict(defined)
     names = {"speed": "slowness", "acceleration": "sluggishness"}
@@ -84,7 +88,7 @@ def to_fit_parameters(effect: str, defined: Mapping[str, float]) -> dict[str, fl
 
 
 def to_effect_parameters(effect: str, fitted: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Convert fitted parameters, each with its standard error, to those that the effect's definition names.
+    """Return fitted parameters, each with its standard error, as the effect's definition names them.
 
     An inverse limit that is not significant becomes 0, no limit.
     """
@@ -92,6 +96,6 @@ def to_effect_parameters(effect: str, fitted: Mapping[str, tuple[float, float]])
         return dict(fitted)
     parameters = {}
     for name, (value, std) in {"speed": fitted["slowness"], "acceleration": fitted["sluggishness"]}.items():
-        shows = value > LEAST_STDS * std and math.isfinite(1.0 / max(value, 1e-300))
-        parameters[name] = (1.0 / value, std / value**2) if shows else (0.0, 0.0)
+        is_significant = value > LEAST_STDS * std and math.isfinite(1.0 / max(value, 1e-300))
+        parameters[name] = (1.0 / value, std / value**2) if is_significant else (0.0, 0.0)
     return parameters

@@ -14,9 +14,9 @@ from leactl.gap.servo.runs import ServoRuns
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 SLOWNESS, SLUGGISHNESS = "reference_rate_limit.slowness", "reference_rate_limit.sluggishness"
-MOST_PROFILES = 256  # stored profiles
+MOST_PROFILES = 256  # profiles in the cache
 PROFILE_PARAMETERS = (SLOWNESS, SLUGGISHNESS)
-UNLIMITED = (0.0, 0.0)
+UNLIMITED = (0.0, 0.0)  # inverse limits of a reference that is used as it is
 GOAL_TOLERANCE = 1e-9  # share of the distance at the beginning of an interval within which the goal is reached
 LEAST_INVERSE_LIMIT = 1e-300  # avoids a division by zero where there is no limit
 
@@ -26,7 +26,7 @@ class SetPoints:
 
     def __init__(self, runs: ServoRuns) -> None:
         self._runs = runs
-        self._known: dict[tuple[float, float], tuple[Array, Array]] = {}
+        self._profiles: dict[tuple[float, float], tuple[Array, Array]] = {}  # set-points by inverse limits
 
     def at(self, sets: Mapping[str, Array], count: int, delay: str = "reference_delay") -> tuple[Array, Array, Index]:
         """Return distinct set-points (profiles, runs, samples) at both ends of each interval, and each set's index.
@@ -39,30 +39,37 @@ class SetPoints:
         limits = zip(sets.get(SLOWNESS, zeros).tolist(), sets.get(SLUGGISHNESS, zeros).tolist(), strict=True)
         profile_delays = list(zip(limits, delays, strict=True))
         distinct = {profile_delay: index for index, profile_delay in enumerate(dict.fromkeys(profile_delays))}
-        if len(self._known) > MOST_PROFILES:
-            self._known.clear()
-        self._work_out([limit for limit in dict.fromkeys(limit for limit, _ in distinct) if limit not in self._known])
+        if len(self._profiles) > MOST_PROFILES:
+            self._profiles.clear()
+        self._compute_profiles(
+            [limit for limit in dict.fromkeys(limit for limit, _ in distinct) if limit not in self._profiles]
+        )
         index = np.array([distinct[profile_delay] for profile_delay in profile_delays])
-        begins = np.stack([delayed_rows(self._known[limit][0], late) for limit, late in distinct])
+        begins = np.stack([delayed_rows(self._profiles[limit][0], delay_samples) for limit, delay_samples in distinct])
         if all(limit == UNLIMITED for limit, _ in distinct):
             return begins, begins, index
-        return begins, np.stack([delayed_rows(self._known[limit][1], late) for limit, late in distinct]), index
+        return (
+            begins,
+            np.stack([delayed_rows(self._profiles[limit][1], delay_samples) for limit, delay_samples in distinct]),
+            index,
+        )
 
-    def _work_out(self, limits: list[tuple[float, float]]) -> None:
-        plain = (self._runs.reference, self._runs.reference)
-        self._known.update({limit: plain for limit in limits if limit == UNLIMITED})
+    def _compute_profiles(self, limits: list[tuple[float, float]]) -> None:
+        """Add the set-points of some inverse limits to the cache."""
+        unlimited = (self._runs.reference, self._runs.reference)
+        self._profiles.update({limit: unlimited for limit in limits if limit == UNLIMITED})
         limits = [limit for limit in limits if limit != UNLIMITED]
         if limits:
-            slow, sluggish = (np.array(values)[:, None] for values in zip(*limits, strict=True))
-            begins, ends = profile(self._runs.reference, self._runs.interval, slow, sluggish)
-            self._known.update({limit: (begins[k], ends[k]) for k, limit in enumerate(limits)})
+            slowness, sluggishness = (np.array(values)[:, None] for values in zip(*limits, strict=True))
+            begins, ends = profile(self._runs.reference, self._runs.interval, slowness, sluggishness)
+            self._profiles.update({limit: (begins[k], ends[k]) for k, limit in enumerate(limits)})
 
 
 def profile(reference: Array, interval: float, slowness: Array, sluggishness: Array) -> tuple[Array, Array]:
     """Return limited set-points (sets, runs, samples) at the beginning and the end of the interval after each sample.
 
     They go to references (runs, samples) as fast as inverse limits (sets, 1) allow and as they can still stop there. In
-    the interval of its arrival a set-point is at the goal from the beginning, as one without a limit is.
+    the interval of its arrival a set-point is at the goal from the beginning, as it would be without a limit.
     """
     lanes = (len(slowness), len(reference))
     highest_speed = np.broadcast_to(1.0 / np.maximum(slowness, LEAST_INVERSE_LIMIT), lanes).copy()
@@ -71,13 +78,13 @@ def profile(reference: Array, interval: float, slowness: Array, sluggishness: Ar
     brake_factor = np.broadcast_to(2.0 * sluggishness / interval, lanes).copy()
     set_point, speed = np.repeat(reference[None, :, 0], len(slowness), axis=0), np.zeros(lanes)
     begins, ends = np.empty((reference.shape[1], *lanes)), np.empty((reference.shape[1], *lanes))
-    ramps = bool(np.any(sluggishness > 0.0))
+    has_acceleration_limit = bool(np.any(sluggishness > 0.0))
     change, share = np.empty(lanes), np.empty(lanes)
     for sample, goal_at_sample in enumerate(reference.T.copy()):
         begins[sample] = set_point
         np.subtract(goal_at_sample, set_point, out=change)
         change /= interval
-        if ramps:
+        if has_acceleration_limit:
             np.abs(change, out=share)
             share *= brake_factor
             share += 0.25
@@ -106,7 +113,7 @@ def profile(reference: Array, interval: float, slowness: Array, sluggishness: Ar
 
 
 def delayed_rows(values: Array, samples: float) -> Array:
-    """Delay rows by a number of samples, linear in between, constant beyond the ends."""
+    """Return rows delayed by a number of samples, linear between samples, constant beyond the ends."""
     if samples == 0.0:
         return values
     whole_samples = int(np.floor(samples))

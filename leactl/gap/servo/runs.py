@@ -26,49 +26,51 @@ FAST_QUANTILE = 0.95  # quantile of the speeds that counts as fast
 class ServoRuns:
     """Runs side by side; (runs, samples) for channels, one value a run for the rest."""
 
-    interval: float
+    interval: float  # s
     encoder_resolution: float  # rad, the largest of the runs' smallest angle steps; 0.0 if no run has one
-    angle: Array
+    angle: Array  # rad
     speed: Array  # rad/s, at the first sample
-    reference: Array
-    enabled: Array
-    measured: Mask
+    reference: Array  # rad
+    enabled: Array  # 1 where the drive is enabled, else 0
+    measured: Mask  # whether angle and reference are valid
     q_axis_voltage: Array  # V, logged voltage of each motor; use it only where `voltage_logged` is true
     voltage_logged: Mask  # whether voltage and reference are valid at a sample and the servo's gain is above zero
     gain: Array  # V/rad
     rate_gain: Array  # V*s/rad, on the rate of the error
     limit: Array  # V
-    level: Array  # N*m, of the pendulum held out level
+    level: Array  # N*m, torque of the pendulum held out level
     inertia: Array  # kg*m^2, of the pendulum
     scales: Mapping[str, float]  # typical size of each parameter that a fit may move, in the parameter's own unit
-    usual: Mapping[str, tuple[float, float]]  # by parameter of the model: value and prior width
-    forgets: int  # samples after which the start of a servo has no influence
+    priors: Mapping[str, tuple[float, float]]  # value and prior width, by parameter of the model
+    memory_samples: int  # samples after which the start of a servo has no influence
 
     @property
     def hangs(self) -> bool:
-        """Whether something of a known weight hangs on the shaft."""
+        """Whether a load of known weight hangs on the shaft."""
         return bool(np.any(self.level > 0.0))
 
 
 def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
-    """Put runs of position servos side by side; shorter ones are held at their last reference.
+    """Return runs of position servos side by side; shorter runs stay at their last reference.
 
-    Samples are thinned out where they are closer than a simulation of the servo needs.
+    Samples are thinned out if they are closer than a simulation of the servo needs.
 
     Raises
     ------
-    InputError : a run without a servo, or runs sampled at different rates.
+    InputError : a run without a position servo, or runs sampled at different rates.
     """
     clocks = [record.fast for record in records if record.fast is not None and drive_of(record, model) is not None]
     if len(clocks) < len(records):
-        lacking = next(record for record in records if drive_of(record, model) is None)
-        raise InputError(f"{lacking.path}: no position servo: an angle, its reference and a `drive:` were expected")
+        record_without_servo = next(record for record in records if drive_of(record, model) is None)
+        raise InputError(
+            f"{record_without_servo.path}: no position servo: an angle, its reference and a `drive:` were expected"
+        )
     longest, interval = max(len(clock.time) for clock in clocks), clocks[0].interval
     if any(abs(clock.interval / interval - 1.0) > INTERVAL_TOLERANCE for clock in clocks):
-        paces = sorted({f"{clock.interval:.4g}" for clock in clocks})
-        raise InputError(f"runs sampled every {', '.join(paces)} s cannot be simulated side by side")
+        intervals = sorted({f"{clock.interval:.4g}" for clock in clocks})
+        raise InputError(f"runs sampled every {', '.join(intervals)} s cannot be simulated side by side")
     angles, references, enabled, volts = (
-        np.stack(c) for c in zip(*(channels(k, longest) for k in clocks), strict=True)
+        np.stack(columns) for columns in zip(*(channels(clock, longest) for clock in clocks), strict=True)
     )
     measured = np.stack([np.arange(longest) < len(clock.time) for clock in clocks])
     voltage_logged = measured.copy()
@@ -80,8 +82,8 @@ def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
     loads = [load_of(record, model) for record in records]
     gain, inertia = np.array([servo.gain for servo in servos]), np.array([load.inertia for load in loads])
     voltage_logged &= (gain > 0.0)[:, None]
-    fast, slow = servo_times(model, gain, float(np.min(inertia)), float(np.max(inertia)))
-    thinning = max(1, math.floor(SERVO_STEP * fast / interval))
+    shortest_time, longest_time = servo_times(model, gain, float(np.min(inertia)), float(np.max(inertia)))
+    thinning = max(1, math.floor(SERVO_STEP * shortest_time / interval))
     return ServoRuns(
         interval * thinning,
         max(clock.counts.get(("angle", "test"), 0.0) for clock in clocks),
@@ -99,39 +101,41 @@ def servo_runs(records: Sequence[Record], model: Model) -> ServoRuns:
         inertia,
         parameter_scales(model, angles, interval * thinning, interval, float(np.mean(inertia))),
         parameter_priors(model),
-        math.ceil(SERVO_MEMORY * slow / (interval * thinning)),
+        math.ceil(SERVO_MEMORY * longest_time / (interval * thinning)),
     )
 
 
-def parameter_scales(model: Model, angles: Array, interval: float, sampled: float, load: float) -> dict[str, float]:
+def parameter_scales(
+    model: Model, angles: Array, interval: float, sampling_interval: float, load_inertia: float
+) -> dict[str, float]:
     """Return the typical size of each parameter of a simulation, from the servo's torque, speed and response time."""
     constant, resistance = model.torque_constant or 0.0, model.phase_resistance or 1.0
     volts = model.drive.voltage_limit if model.drive is not None else 0.0
-    stall, holding = constant * volts / resistance, constant**2 / resistance
-    mass = (model.rotor_inertia or 0.0) + load
-    turned = np.abs(np.diff(angles, axis=1)) / sampled
-    fast = max(float(np.quantile(turned, FAST_QUANTILE)), 1e-3 * volts / max(constant, 1e-300), 1e-300)
-    response = mass / max(holding, 1e-300)
+    stall_torque, back_emf_damping = constant * volts / resistance, constant**2 / resistance
+    total_inertia = (model.rotor_inertia or 0.0) + load_inertia
+    speeds = np.abs(np.diff(angles, axis=1)) / sampling_interval
+    fast_speed = max(float(np.quantile(speeds, FAST_QUANTILE)), 1e-3 * volts / max(constant, 1e-300), 1e-300)
+    response_time = total_inertia / max(back_emf_damping, 1e-300)
     return {
         "torque_constant": 0.3 * constant,
         "phase_resistance": 0.3 * resistance,
-        "rotor_inertia": 0.015 * mass,
-        "viscous_damping": 0.025 * holding,
-        "coulomb_friction": 0.0015 * stall,
+        "rotor_inertia": 0.015 * total_inertia,
+        "viscous_damping": 0.025 * back_emf_damping,
+        "coulomb_friction": 0.0015 * stall_torque,
         "load_zero": 0.1,  # rad, of where the pendulum hangs straight down
         "reference_delay": 2.0 * interval,
         "voltage_delay": interval,
-        "reference_rate_limit.slowness": 0.3 / fast,
-        "reference_rate_limit.sluggishness": 0.3 * response / fast,
+        "reference_rate_limit.slowness": 0.3 / fast_speed,
+        "reference_rate_limit.sluggishness": 0.3 * response_time / fast_speed,
         "servo_dead_band.band": 0.01,  # rad
         "saturation.loss": 1.0,
         "load_dependent_friction.coefficient": 0.1,
         "stribeck.breakaway_ratio": 0.1,
-        "stribeck.stribeck_velocity": 0.1 * fast,
+        "stribeck.stribeck_velocity": 0.1 * fast_speed,
         "position_dependent_friction.cos": 0.1,
         "position_dependent_friction.sin": 0.1,
         "asymmetric_friction.asymmetry": 0.1,
-        "quadratic_drag.coefficient": 0.025 * holding / fast,
+        "quadratic_drag.coefficient": 0.025 * back_emf_damping / fast_speed,
         "dead_time.voltage": 0.015 * volts,
         "dead_time.current": 0.05 * volts / resistance,
     }
@@ -140,12 +144,12 @@ def parameter_scales(model: Model, angles: Array, interval: float, sampled: floa
 def parameter_priors(model: Model) -> dict[str, tuple[float, float]]:
     """Return the model's values of the parameters that a fit may move, with the widths of their priors."""
     names = ("torque_constant", "phase_resistance", "rotor_inertia", "viscous_damping", "coulomb_friction")
-    known = {name: float(getattr(model, name) or 0.0) for name in names}
-    return {name: (value, PRIORS[name] * value) for name, value in known.items() if value > 0.0}
+    values = {name: float(getattr(model, name) or 0.0) for name in names}
+    return {name: (value, PRIORS[name] * value) for name, value in values.items() if value > 0.0}
 
 
 def block_means(values: Array, length: int) -> Array:
-    """Average blocks of samples, (runs, samples) to (runs, blocks); the last sample fills up the last block."""
+    """Return means over blocks of samples, shape (runs, blocks); the last sample fills up the last block."""
     if length == 1:
         return values
     missing = -values.shape[1] % length
@@ -155,21 +159,29 @@ def block_means(values: Array, length: int) -> Array:
 
 def runs_at_common_rate(records: Sequence[Record], model: Model) -> list[Record]:
     """Return the largest group of servo runs whose sampling intervals are within 1 % of that of one run."""
-    paced = [(r, r.fast.interval) for r in records if r.fast is not None and drive_of(r, model) is not None]
-    paces = [
-        [r for r, other_interval in paced if abs(other_interval / interval - 1.0) <= INTERVAL_TOLERANCE]
-        for _, interval in paced
+    runs_with_interval = [
+        (record, record.fast.interval)
+        for record in records
+        if record.fast is not None and drive_of(record, model) is not None
     ]
-    return max(paces, key=len, default=[])
+    groups = [
+        [
+            record
+            for record, other_interval in runs_with_interval
+            if abs(other_interval / interval - 1.0) <= INTERVAL_TOLERANCE
+        ]
+        for _, interval in runs_with_interval
+    ]
+    return max(groups, key=len, default=[])
 
 
 def starting_speed(angle: Array, interval: float) -> float:
-    """Return the speed at the first sample by a parabola through a few; zero if small against the run's speeds."""
+    """Return the speed [rad/s] at the first sample by a parabola through a few angles; zero if the axis was at rest."""
     speed = float(
         np.polynomial.Polynomial.fit(interval * np.arange(PARABOLA_SAMPLES), angle[:PARABOLA_SAMPLES], 2).deriv()(0.0)
     )
-    fast = float(np.quantile(np.abs(np.diff(angle)), FAST_QUANTILE)) / interval
-    return speed if abs(speed) > LEAST_MOVING_SHARE * fast else 0.0
+    fast_speed = float(np.quantile(np.abs(np.diff(angle)), FAST_QUANTILE)) / interval
+    return speed if abs(speed) > LEAST_MOVING_SHARE * fast_speed else 0.0
 
 
 def channels(clock: Clocked, length: int) -> tuple[Array, Array, Array, Array]:

@@ -21,7 +21,7 @@ from leactl.gap.servo.stretches import Stretches, whole_runs
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Parameters = dict[str, float]
-FEWEST_PARTS, MOST_PARTS = 2, 20  # steps in a sample
+FEWEST_PARTS, MOST_PARTS = 2, 20  # simulation steps in a sample
 FREE_PARAMETERS = (
     "torque_constant",
     "phase_resistance",
@@ -72,7 +72,7 @@ def table(points: Sequence[Mapping[str, float]]) -> dict[str, Array]:
 
 
 def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
-    """Simulate whole runs from their first states; return angles (sets, runs, samples).
+    """Return the angles [rad] of whole runs simulated from their first states, (sets, runs, samples).
 
     sets : by parameter, one value per set.
     """
@@ -80,17 +80,17 @@ def replay(runs: ServoRuns, sets: Mapping[str, Array]) -> Array:
 
 
 def simulate(runs: ServoRuns, sets: Mapping[str, Array], stretches: Stretches, set_points: SetPoints) -> Array:
-    """Simulate stretches of runs side by side; return their angles joined to runs, (sets, runs, samples)."""
+    """Return the angles [rad] of stretches simulated side by side and joined to runs, (sets, runs, samples)."""
     count, run = len(next(iter(sets.values()))), stretches.run
 
-    def spread(name: str) -> Array:
+    def of_parameter(name: str) -> Array:
         return np.repeat(sets.get(name, np.full(count, SHAPE_DEFAULTS.get(name, 0.0)))[:, None], len(run), axis=1)
 
     def of_runs(values: Array) -> Array:
         return np.repeat(values[run][None], count, axis=0)
 
-    constant, resistance, coulomb, damping, zero = (
-        spread(name)
+    constant, resistance, coulomb, damping, load_zero = (
+        of_parameter(name)
         for name in ("torque_constant", "phase_resistance", "coulomb_friction", "viscous_damping", "load_zero")
     )
     parts = parts_of(runs, sets)
@@ -98,57 +98,60 @@ def simulate(runs: ServoRuns, sets: Mapping[str, Array], stretches: Stretches, s
     gain, rate_gain, level = (of_runs(values) for values in (runs.gain, runs.rate_gain, runs.level))
     has_rate_gain = bool(np.any(rate_gain))
     # half of the damping acts at the end of a step (implicit), which allows far longer steps
-    slowing = 0.5 * constant * (constant + rate_gain) / resistance
-    free_impedance = (spread("rotor_inertia") + of_runs(runs.inertia)) / step + 0.5 * damping
-    impedance = free_impedance + slowing
-    saturate = _saturation_function(*(spread(f"saturation.{name}") for name in ("loss", "exponent", "current")))
-    load_coefficient = spread("load_dependent_friction.coefficient")
+    half_drive_damping = 0.5 * constant * (constant + rate_gain) / resistance
+    free_impedance = (of_parameter("rotor_inertia") + of_runs(runs.inertia)) / step + 0.5 * damping
+    impedance = free_impedance + half_drive_damping
+    saturate = _saturation_function(*(of_parameter(f"saturation.{name}") for name in ("loss", "exponent", "current")))
+    load_coefficient = of_parameter("load_dependent_friction.coefficient")
     speed_factor = _stribeck_function(
-        *(spread(f"stribeck.{name}") for name in ("breakaway_ratio", "stribeck_velocity", "shape"))
+        *(of_parameter(f"stribeck.{name}") for name in ("breakaway_ratio", "stribeck_velocity", "shape"))
     )
-    angle_factor = _angle_function(*(spread(f"position_dependent_friction.{name}") for name in ("cos", "sin", "order")))
+    angle_factor = _angle_function(
+        *(of_parameter(f"position_dependent_friction.{name}") for name in ("cos", "sin", "order"))
+    )
     dead_band = _dead_band_function(
-        spread("servo_dead_band.band"), max(BAND_EDGE_COUNTS * runs.encoder_resolution, FINEST_RESOLUTION)
+        of_parameter("servo_dead_band.band"), max(BAND_EDGE_COUNTS * runs.encoder_resolution, FINEST_RESOLUTION)
     )
-    load_friction, pendulum = bool(np.any(load_coefficient)), runs.hangs
-    asymmetry, drag = spread("asymmetric_friction.asymmetry"), spread("quadratic_drag.coefficient")
-    asymmetric, quadratic = bool(np.any(asymmetry)), bool(np.any(drag))
+    has_load_friction, has_pendulum = bool(np.any(load_coefficient)), runs.hangs
+    asymmetry, drag = of_parameter("asymmetric_friction.asymmetry"), of_parameter("quadratic_drag.coefficient")
+    has_asymmetry, has_drag = bool(np.any(asymmetry)), bool(np.any(drag))
     dead_current, dead_time_current = (
-        spread("dead_time.voltage") / resistance,
-        np.maximum(spread("dead_time.current"), 1e-300),
+        of_parameter("dead_time.voltage") / resistance,
+        np.maximum(of_parameter("dead_time.current"), 1e-300),
     )
-    dead_time = bool(np.any(dead_current))
-    highest = of_runs(runs.limit)
-    lowest = -highest
+    has_dead_time = bool(np.any(dead_current))
+    highest_voltage = of_runs(runs.limit)
+    lowest_voltage = -highest_voltage
     begins, ends, profile_index = set_points.at(sets, count)
-    profiled, elapsed_shares = begins is not ends, [(part + 0.5) / parts for part in range(parts)]
+    has_profile, elapsed_shares = begins is not ends, [(part + 0.5) / parts for part in range(parts)]
     samples = np.minimum(stretches.samples, runs.angle.shape[1] - 1)
     # one row per sample, in which all lanes are adjacent
-    reference_changes = by_lane(ends - begins, run, samples, profile_index) if profiled else None
+    reference_changes = by_lane(ends - begins, run, samples, profile_index) if has_profile else None
     begins = by_lane(begins, run, samples, profile_index)
-    enabled, switched = runs.enabled[run[:, None], samples].T.copy(), bool(np.any(runs.enabled < 1.0))
+    enabled, has_switched_drive = runs.enabled[run[:, None], samples].T.copy(), bool(np.any(runs.enabled < 1.0))
     angle = np.repeat(stretches.angle[None], count, axis=0)
     speed = np.repeat(stretches.speed[None], count, axis=0)
     drive, friction, scratch, gravity_torque, reference = (np.zeros_like(angle) for _ in range(5))
     angles = np.empty((stretches.length, *angle.shape))
-    share = 1.0 / resistance
-    emf, rate_voltage, last_reference = constant.copy(), np.zeros_like(angle), begins[0]
-    # arrays of a few hundred numbers: the number of numpy calls takes the time, not their size
+    conductance = 1.0 / resistance
+    emf_constant, rate_voltage, last_reference = constant.copy(), np.zeros_like(angle), begins[0]
+    # arrays of a few hundred numbers: the number of numpy calls takes the time, not their size. The loop works
+    # in place, and `drive` holds the error, the voltage, the current, the torque and the change of speed in turn
     for sample in range(stretches.length):
         angles[sample] = angle
         target = begins[sample]
-        if switched:
-            share = enabled[sample] / resistance
-            impedance = free_impedance + enabled[sample] * slowing
+        if has_switched_drive:
+            conductance = enabled[sample] / resistance
+            impedance = free_impedance + enabled[sample] * half_drive_damping
         if has_rate_gain:
             next_target = target if reference_changes is None else target + reference_changes[sample]
             np.subtract(next_target, last_reference, out=rate_voltage)
             rate_voltage *= rate_gain / runs.interval
             last_reference = next_target
-        if pendulum:
+        if has_pendulum:
             np.multiply(speed, 0.5 * runs.interval, out=gravity_torque)
             gravity_torque += angle
-            gravity_torque += zero
+            gravity_torque += load_zero
             np.sin(gravity_torque, out=gravity_torque)
             gravity_torque *= level
         for part in range(parts):
@@ -165,17 +168,19 @@ def simulate(runs: ServoRuns, sets: Mapping[str, Array], stretches: Stretches, s
                 drive += rate_voltage
                 np.multiply(rate_gain, speed, out=scratch)
                 drive -= scratch
-            np.minimum(drive, highest, out=drive)
-            np.maximum(drive, lowest, out=drive)
-            np.multiply(emf, speed, out=scratch)
+            np.minimum(drive, highest_voltage, out=drive)
+            np.maximum(drive, lowest_voltage, out=drive)
+            np.multiply(emf_constant, speed, out=scratch)
             drive -= scratch
-            drive *= share  # the current
-            if dead_time:
-                drive -= (enabled[sample] if switched else 1.0) * dead_current * np.tanh(drive / dead_time_current)
+            drive *= conductance  # the current
+            if has_dead_time:
+                drive -= (
+                    (enabled[sample] if has_switched_drive else 1.0) * dead_current * np.tanh(drive / dead_time_current)
+                )
             if saturate is not None:
                 saturate(drive, scratch)
             drive *= constant
-            if load_friction:
+            if has_load_friction:
                 np.abs(drive, out=friction)
                 friction *= load_coefficient
                 friction += coulomb
@@ -186,13 +191,13 @@ def simulate(runs: ServoRuns, sets: Mapping[str, Array], stretches: Stretches, s
                 friction *= speed_factor(scratch)
             if angle_factor is not None:
                 friction *= angle_factor(angle)
-            if asymmetric:
+            if has_asymmetry:
                 friction *= 1.0 + asymmetry * np.sign(speed)
-            if quadratic:
+            if has_drag:
                 friction += drag * scratch**2
             scratch *= damping
             friction += scratch
-            if pendulum:
+            if has_pendulum:
                 drive -= gravity_torque
             np.multiply(impedance, speed, out=scratch)
             scratch += drive  # torque that would bring the axis to rest
@@ -208,7 +213,7 @@ def simulate(runs: ServoRuns, sets: Mapping[str, Array], stretches: Stretches, s
 
 
 def voltages(runs: ServoRuns, sets: Mapping[str, Array], set_points: SetPoints) -> Array:
-    """Return the controller's voltages (sets, runs, samples) for the measured angles.
+    """Return the controller's voltages [V] for the measured angles, (sets, runs, samples).
 
     They do not depend on the motor, so their residuals show effects of the drive alone.
     """
@@ -229,12 +234,12 @@ def voltages(runs: ServoRuns, sets: Mapping[str, Array], set_points: SetPoints) 
 
 
 def by_lane(values: Array, run: Index, samples: Index, profile_index: Index) -> Array:
-    """Rearrange values (profiles, runs, samples) by lane, (samples, sets, stretches)."""
+    """Return values (profiles, runs, samples) rearranged by lane, (samples, sets, stretches)."""
     return np.take(np.ascontiguousarray(np.moveaxis(values[:, run[:, None], samples], 2, 0)), profile_index, axis=1)
 
 
 def join_stretches(values: Array, stretches: Stretches, runs: ServoRuns) -> Array:
-    """Join the scored parts of stretches, (samples, sets, stretches), to whole runs, (sets, runs, samples)."""
+    """Return the scored parts of stretches, (samples, sets, stretches), joined to runs, (sets, runs, samples)."""
     scored = np.moveaxis(values, 0, 2)
     samples = runs.angle.shape[1]
     if stretches.length == samples:
@@ -249,41 +254,41 @@ def join_stretches(values: Array, stretches: Stretches, runs: ServoRuns) -> Arra
 
 
 def parts_of(runs: ServoRuns, sets: Mapping[str, Array]) -> int:
-    """Return the steps in a sample needed for the response time of the lightest axis."""
+    """Return the number of simulation steps in a sample that the lightest axis needs in the median set."""
     constant, resistance = sets["torque_constant"], sets["phase_resistance"]
-    lightest = sets["rotor_inertia"] + float(np.min(runs.inertia))
-    slowing = constant * (constant + float(np.max(runs.rate_gain))) / (resistance * lightest)
-    swinging = np.sqrt(float(np.max(runs.gain)) * constant / (resistance * lightest))
-    needed = runs.interval * float(np.quantile(np.maximum(slowing, swinging), 0.5)) / SERVO_STEP
-    return int(np.clip(np.ceil(needed), FEWEST_PARTS, MOST_PARTS)) if np.isfinite(needed) else FEWEST_PARTS
+    least_inertia = sets["rotor_inertia"] + float(np.min(runs.inertia))
+    decay_rate = constant * (constant + float(np.max(runs.rate_gain))) / (resistance * least_inertia)
+    natural_frequency = np.sqrt(float(np.max(runs.gain)) * constant / (resistance * least_inertia))
+    needed_parts = runs.interval * float(np.quantile(np.maximum(decay_rate, natural_frequency), 0.5)) / SERVO_STEP
+    return int(np.clip(np.ceil(needed_parts), FEWEST_PARTS, MOST_PARTS)) if np.isfinite(needed_parts) else FEWEST_PARTS
 
 
 def _dead_band_function(band: Array, edge: float) -> Callable[[Array, Array], None] | None:
-    """Return a function that zeroes errors within a dead band in place; None where there is no band.
+    """Return a function that zeroes errors within a dead band in place; None if no set has a band.
 
-    edge : width over which the output rises at the end of the band.
+    band, edge : rad, half width of the band, and width over which the output rises at its end.
     """
     if not np.any(band):
         return None
-    begins = np.where(band > 0.0, band / edge - 0.5, -np.inf)
+    band_end = np.where(band > 0.0, band / edge - 0.5, -np.inf)
 
-    def deafen(error: Array, scratch: Array) -> None:
+    def apply_dead_band(error: Array, scratch: Array) -> None:
         np.abs(error, out=scratch)
         scratch /= edge
-        scratch -= begins
+        scratch -= band_end
         np.clip(scratch, 0.0, 1.0, out=scratch)
         error *= scratch
 
-    return deafen
+    return apply_dead_band
 
 
 def _saturation_function(loss: Array, exponent: Array, current_scale: Array) -> Callable[[Array, Array], None] | None:
-    """Return a function that reduces currents by saturation in place; None where nothing is lost."""
+    """Return a function that reduces currents by saturation in place; None if no set has a loss."""
     if not np.any(loss):
         return None
     has_exponent, is_square = bool(np.any(exponent != 1.0)), bool(np.all(exponent == 2.0))
 
-    def lose(current: Array, scratch: Array) -> None:
+    def saturate(current: Array, scratch: Array) -> None:
         np.abs(current, out=scratch)
         scratch /= current_scale
         if is_square:
@@ -295,38 +300,38 @@ def _saturation_function(loss: Array, exponent: Array, current_scale: Array) -> 
         np.maximum(scratch, 0.0, out=scratch)
         current *= scratch
 
-    return lose
+    return saturate
 
 
-def _stribeck_function(ratio: Array, velocity: Array, shape: Array) -> Callable[[Array], Array] | None:
-    """Return the factor on friction as a function of speed; None where it is one everywhere."""
-    if not np.any(ratio):
+def _stribeck_function(breakaway_ratio: Array, velocity: Array, shape: Array) -> Callable[[Array], Array] | None:
+    """Return the factor on friction as a function of speed; None if it is one in all sets."""
+    if not np.any(breakaway_ratio):
         return None
     per_speed = 1.0 / np.maximum(velocity, 1e-300)
-    bent, squared = bool(np.any(shape != 1.0)), bool(np.all(shape == 2.0))
+    has_shape, is_square = bool(np.any(shape != 1.0)), bool(np.all(shape == 2.0))
 
-    def fade(speed: Array) -> Array:
+    def factor_at(speed: Array) -> Array:
         decay = speed * per_speed
-        if squared:
+        if is_square:
             np.multiply(decay, decay, out=decay)
-        elif bent:
+        elif has_shape:
             np.power(decay, shape, out=decay)
         np.negative(decay, out=decay)
         np.exp(decay, out=decay)
-        decay *= ratio
+        decay *= breakaway_ratio
         decay += 1.0
         return decay
 
-    return fade
+    return factor_at
 
 
 def _angle_function(cosine: Array, sine: Array, order: Array) -> Callable[[Array], Array] | None:
-    """Return the factor on friction as a function of the angle; None where it is one everywhere."""
+    """Return the factor on friction as a function of the angle; None if it is one in all sets."""
     if not (np.any(cosine) or np.any(sine)):
         return None
 
-    def wave(angle: Array) -> Array:
+    def factor_at(angle: Array) -> Array:
         phase = order * angle
         return np.asarray(1.0 + cosine * np.cos(phase) + sine * np.sin(phase), np.float64)
 
-    return wave
+    return factor_at

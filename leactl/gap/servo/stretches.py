@@ -20,14 +20,14 @@ LEAST_SCORED_RATIO = 2.0  # shortest scored part of a stretch, over the time in 
 
 @dataclass(frozen=True, eq=False)
 class Stretches:
-    """Stretches: the run of each, its beginning, and the sample from which it is scored."""
+    """Stretches of runs, and the sample from which each is scored; arrays have one value per stretch."""
 
     run: Index
-    first: Index  # first sample
-    scored_from: Index  # sample
-    length: int  # samples, of each
-    angle: Array  # rad, at the beginning
-    speed: Array  # rad/s
+    first: Index  # first sample in the run
+    scored_from: Index  # sample in the run
+    length: int  # samples of every stretch
+    angle: Array  # rad, at the first sample
+    speed: Array  # rad/s, at the first sample
 
     @property
     def samples(self) -> Index:
@@ -42,20 +42,20 @@ def whole_runs(runs: ServoRuns) -> Stretches:
 
 
 def cut_runs(runs: ServoRuns) -> Stretches:
-    """Cut runs into stretches; where fewer than two fit, or a drive is disabled at times, each run is one."""
-    samples, forgets = runs.angle.shape[1], runs.forgets
-    count = int(samples / (LEAST_SCORED_RATIO * forgets))
+    """Return runs cut into stretches; whole runs if fewer than two stretches fit or a drive is disabled at times."""
+    samples, memory_samples = runs.angle.shape[1], runs.memory_samples
+    count = int(samples / (LEAST_SCORED_RATIO * memory_samples))
     if count < 2 or bool(np.any(runs.enabled < 1.0)):
         return whole_runs(runs)
     scored_length = -(-samples // count)
     count = -(-samples // scored_length)  # a length rounded up may need fewer stretches
     scored_from = np.tile(scored_length * np.arange(count), len(runs.gain))
     run = np.repeat(np.arange(len(runs.gain)), count)
-    begin = np.maximum(scored_from - forgets, 0)
-    ends = np.minimum(begin + SPEED_SPAN, samples - 1)
-    angle = runs.angle[run, begin]
+    first = np.maximum(scored_from - memory_samples, 0)
+    ends = np.minimum(first + SPEED_SPAN, samples - 1)
+    angle = runs.angle[run, first]
     speed = (runs.angle[run, ends] - angle) / (SPEED_SPAN * runs.interval)
-    at_start = begin == 0
+    at_start = first == 0
     return Stretches(
-        run, begin, scored_from, scored_length + forgets, angle, np.where(at_start, runs.speed[run], speed)
+        run, first, scored_from, scored_length + memory_samples, angle, np.where(at_start, runs.speed[run], speed)
     )
