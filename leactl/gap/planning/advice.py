@@ -41,75 +41,83 @@ class Advice:
 
 
 def read_noise(entries: Sequence[str]) -> dict[str, float]:
-    """Parse standard deviations from entries `quantity=std` of the command line.
+    """Return standard deviations by quantity, from entries `quantity=std` of the command line.
 
     Raises
     ------
-    InputError : no such channel, or no such number; one line each.
+    InputError : an entry names no quantity that has noise, or its number is not zero or more; one line each.
     """
     noise, faults = {}, []
-    for item in entries:
-        name, _, text = item.partition("=")
+    for entry in entries:
+        name, _, text = entry.partition("=")
         try:
             noise[name] = float(text)
         except ValueError:
             noise[name] = -1.0
         if name not in usual_noise():
-            faults.append(f"--noise {item}: one of {', '.join(usual_noise())} was expected")
+            faults.append(f"--noise {entry}: one of {', '.join(usual_noise())} was expected")
         elif not 0.0 <= noise[name] < math.inf:
-            faults.append(f"--noise {item}: quantity=std was expected, a number of zero or more")
+            faults.append(f"--noise {entry}: quantity=std was expected, a number of zero or more")
     if faults:
         raise InputError(faults)
     return noise
 
 
 def advise(model_file: Path, runs: Sequence[Path], protocols: Sequence[str], noise: Mapping[str, float]) -> Advice:
-    """Judge runs and protocols together, then every shipped protocol in addition to them.
+    """Return what runs and protocols show together, and what every shipped protocol shows in addition.
 
     Raises
     ------
-    InputError : files or names that cannot be used, or nothing to judge.
+    InputError : files or names that cannot be used, or no run or protocol to judge.
     """
     model, _ = read_model(model_file)
-    spread = usual_noise() | dict(noise)
-    records = [record for several in read_records(runs, model.bench).values() for record in several]
+    noise_by_quantity = usual_noise() | dict(noise)
+    records = [record for records_of_run in read_records(runs, model.bench).values() for record in records_of_run]
     plans = [protocolfile.load(name) for name in protocols]
-    known = {plan.name for plan in plans}
-    further = [plan for name in shipped.names() if (plan := protocolfile.load(name)).name not in known]
-    records += [planned_record(plan, model, spread) for plan in plans]
+    planned_names = {plan.name for plan in plans}
+    further_plans = [plan for name in shipped.names() if (plan := protocolfile.load(name)).name not in planned_names]
+    records += [planned_record(plan, model, noise_by_quantity) for plan in plans]
     notes: list[str] = []
     planned: list[tuple[Plan, Record]] = []
-    for plan in further:
+    for plan in further_plans:
         try:
-            planned.append((plan, planned_record(plan, model, spread)))
+            planned.append((plan, planned_record(plan, model, noise_by_quantity)))
         except InputError as error:
             notes += error.faults
     if not records and not planned:
         raise InputError(["there is nothing to plan with", *notes])
     evidence = evidence_of([*records, *(record for _, record in planned)], model)
-    base = [record.run for record in records]
-    present_sights = sights(evidence, base)
-    experiments = [experiment(plan, present_sights, sights(evidence, [*base, record.run])) for plan, record in planned]
-    useful = sorted((e for e in experiments if e.gain > 0.0), key=lambda e: -e.gain)
-    shown_effects = {s.effect for s in present_sights if s.seen}.union(*(e.shows for e in useful))
+    given_runs = [record.run for record in records]
+    present_sights = sights(evidence, given_runs)
+    experiments = [
+        experiment(plan, present_sights, sights(evidence, [*given_runs, record.run])) for plan, record in planned
+    ]
+    useful = sorted((advised for advised in experiments if advised.gain > 0.0), key=lambda advised: -advised.gain)
+    shown_effects = {sight.effect for sight in present_sights if sight.seen}.union(
+        *(advised.shows for advised in useful)
+    )
     return Advice(
         tuple(present_sights),
         tuple(useful),
-        tuple(s.effect for s in present_sights if s.effect not in shown_effects),
+        tuple(sight.effect for sight in present_sights if sight.effect not in shown_effects),
         tuple(notes),
     )
 
 
 def experiment(plan: Plan, before: Sequence[Sight], after: Sequence[Sight]) -> AdvisedProtocol:
-    """Return the effects and pairs that a protocol shows in addition."""
-    shows = tuple(b.effect for a, b in zip(before, after, strict=True) if b.seen and not a.seen)
+    """Return the effects that a protocol shows, and the pairs that it separates, in addition to earlier runs."""
+    shows = tuple(
+        sight_after.effect
+        for sight_before, sight_after in zip(before, after, strict=True)
+        if sight_after.seen and not sight_before.seen
+    )
     pairs_before, pairs_after = pairs(before), pairs(after)
     # two effects of which one is invisible are not separated
-    visible = {s.effect for s in after if s.smallest is not None}
+    visible = {sight.effect for sight in after if sight.smallest is not None}
     separated = tuple(sorted(pair for pair in pairs_before - pairs_after if set(pair) <= visible))
     return AdvisedProtocol(plan.name, plan.duration_s, shows, separated)
 
 
 def pairs(sights: Sequence[Sight]) -> set[tuple[str, str]]:
     """Return the pairs of effects that are not separated."""
-    return {(s.effect, other) for s in sights for other in s.alike if s.effect < other}
+    return {(sight.effect, other) for sight in sights for other in sight.alike if sight.effect < other}

@@ -1,4 +1,4 @@
-"""The experiment that would tell the members of a class apart, as a protocol that `leactl run` can execute."""
+"""Choose the experiment that tells the effects of a class apart, a protocol that `leactl run` can execute."""
 
 from collections.abc import Sequence
 
@@ -6,9 +6,9 @@ from leactl.protocol import protocolfile, shipped
 
 
 def separating_experiment(effect: str, peers: Sequence[str]) -> str | None:
-    """Return the shipped protocol that separates most of a class, the shortest of equals.
+    """Return the shipped protocol that separates most effects of a class; of several such, the shortest.
 
-    None where the class has one effect, or where no protocol separates two of the class, as with gains that only a
+    None is returned if the class has one effect, or no protocol separates two of its effects, such as gains that only a
     reference instrument separates.
     """
     if not peers:

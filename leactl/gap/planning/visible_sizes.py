@@ -34,8 +34,8 @@ class Sight:
     """Visibility of one effect in some runs."""
 
     effect: str
-    smallest: float | None  # size from which the effect is found; None where no run shows it
-    faint: float | None  # smallest size worth knowing; None where the model does not determine its unit
+    smallest: float | None  # size from which the effect is found; None if no run shows it
+    faint: float | None  # smallest size worth knowing; None if the model does not determine its unit
     units: str
     alike: tuple[str, ...]  # effects that these runs cannot tell it from
 
@@ -76,18 +76,20 @@ def sights(evidence: Evidence, runs: Sequence[str]) -> list[Sight]:
         needed = projected.needed(candidate)
         if needed is not None:
             limits.setdefault(candidate[0], []).append(needed)
-    twins = projected.alike({name for name in limits})
-    judged = []
+    alike_pairs = projected.alike({name for name in limits})
+    result = []
     for name in sorted({effect for effect, _ in evidence.candidates}):
-        worth = evidence.worth_knowing.get(name)
+        smallest_worth = evidence.worth_knowing.get(name)
         smallest = None
         if name in limits:
-            # where forms are sizes the smallest counts; of other forms half are found from the median on
+            # of forms that are sizes the smallest is needed; of other forms half are found from the median on
             needed = float(np.min(limits[name]) if sized_by_form(name) else np.median(limits[name]))
-            smallest = needed if worth is None or needed < MOST_NEEDED_RATIO * worth else None
-        alike = tuple(sorted(twin for pair in twins if name in pair for twin in pair if twin != name))
-        judged.append(Sight(name, smallest, worth, effect_definition(name).smallest_worth_knowing.units, alike))
-    return judged
+            smallest = needed if smallest_worth is None or needed < MOST_NEEDED_RATIO * smallest_worth else None
+        alike = tuple(sorted(other for pair in alike_pairs if name in pair for other in pair if other != name))
+        result.append(
+            Sight(name, smallest, smallest_worth, effect_definition(name).smallest_worth_knowing.units, alike)
+        )
+    return result
 
 
 def sized_by_form(name: str) -> bool:
@@ -103,51 +105,57 @@ class Projected:
         self.evidence = evidence
         evidence.weigh_as_usual()
         weights = [
-            w if rows.run in runs else 0.0 for w, rows in zip(evidence.weights, evidence.stack.rows, strict=True)
+            weight if rows.run in runs else 0.0
+            for weight, rows in zip(evidence.weights, evidence.stack.rows, strict=True)
         ]
         gram = Normal(evidence.stack, weights).gram
         non_zero = np.diag(gram) > 0.0
-        effect = np.asarray([name[0] == "effect" for name in evidence.stack.names])
-        base, self.columns = np.flatnonzero(non_zero & ~effect), np.flatnonzero(non_zero & effect)
-        base_gram, cross_gram = gram[np.ix_(base, base)], gram[np.ix_(base, self.columns)]
+        is_effect = np.asarray([name[0] == "effect" for name in evidence.stack.names])
+        calibration_columns, self.columns = np.flatnonzero(non_zero & ~is_effect), np.flatnonzero(non_zero & is_effect)
+        calibration_gram, cross_gram = (
+            gram[np.ix_(calibration_columns, calibration_columns)],
+            gram[np.ix_(calibration_columns, self.columns)],
+        )
         effect_gram = gram[np.ix_(self.columns, self.columns)]
-        scale = np.sqrt(np.diag(base_gram))
-        scaled = base_gram / np.outer(scale, scale) + 1e-10 * np.eye(len(base))
-        self.left = effect_gram - (cross_gram / scale[:, None]).T @ np.linalg.solve(scaled, cross_gram / scale[:, None])
-        self.kept = np.diag(self.left) > IMITATED_SHARE * np.diag(effect_gram)
-        self.place = {int(column): k for k, column in enumerate(self.columns)}
+        scale = np.sqrt(np.diag(calibration_gram))
+        scaled_gram = calibration_gram / np.outer(scale, scale) + 1e-10 * np.eye(len(calibration_columns))
+        self.projected_gram = effect_gram - (cross_gram / scale[:, None]).T @ np.linalg.solve(
+            scaled_gram, cross_gram / scale[:, None]
+        )
+        self.is_determined = np.diag(self.projected_gram) > IMITATED_SHARE * np.diag(effect_gram)
+        self.position_of_column = {int(column): k for k, column in enumerate(self.columns)}
 
     def block(self, candidate: Candidate) -> list[int]:
-        """Return the positions of a candidate's columns; empty where calibration or another one imitates one."""
+        """Return the positions of a candidate's columns; empty if calibration or other columns of it imitate one."""
         columns = []
         for column in self.evidence.columns(candidate):
-            position = self.place.get(int(column))
-            if position is not None and self.kept[position]:
+            position = self.position_of_column.get(int(column))
+            if position is not None and self.is_determined[position]:
                 columns.append(position)
             elif position is not None or not self.is_of_one_run(int(column)):
                 return []
-        projected_gram = self.left[np.ix_(columns, columns)]
-        scale = np.sqrt(np.diag(projected_gram))
-        eigenvalues = np.linalg.eigvalsh(projected_gram / np.outer(scale, scale)) if columns else np.zeros(1)
+        block_gram = self.projected_gram[np.ix_(columns, columns)]
+        scale = np.sqrt(np.diag(block_gram))
+        eigenvalues = np.linalg.eigvalsh(block_gram / np.outer(scale, scale)) if columns else np.zeros(1)
         return columns if float(eigenvalues[0]) > IMITATED_SHARE else []
 
     def is_of_one_run(self, column: int) -> bool:
-        """Return whether a column belongs to a single run, which need not be among the chosen ones."""
+        """Return whether a column belongs to a single run, which need not be one of the chosen runs."""
         return self.evidence.coefficient(column).startswith("start of")
 
     def needed(self, candidate: Candidate) -> float | None:
-        """Return the size from which one form of an effect exceeds its floor and uncertainty; None where it cannot."""
+        """Return the size from which one form of an effect exceeds its floor and uncertainty; None if no size does."""
         block = self.block(candidate)
         if not block:
             return None
         effect, model = library()[candidate[0]], self.evidence.model
         names = [self.evidence.coefficient(int(self.columns[k])) for k in block]
-        leading = [k for k, name in enumerate(names) if name in WAVE_COEFFICIENTS] or [0]
-        covariance = np.linalg.inv(self.left[np.ix_(block, block)])
-        std = float(np.sqrt(np.mean(np.diag(covariance)[leading])))
-        unit = {name: 1.0 if k == leading[0] else 0.0 for k, name in enumerate(names)}
-        small = {name: 1e-3 * value for name, value in unit.items()}
-        slope = abs(effect.size(candidate[1], small, model)) / 1e-3
+        wave_indices = [k for k, name in enumerate(names) if name in WAVE_COEFFICIENTS] or [0]
+        covariance = np.linalg.inv(self.projected_gram[np.ix_(block, block)])
+        std = float(np.sqrt(np.mean(np.diag(covariance)[wave_indices])))
+        unit_size = {name: 1.0 if k == wave_indices[0] else 0.0 for k, name in enumerate(names)}
+        small_size = {name: 1e-3 * value for name, value in unit_size.items()}
+        slope = abs(effect.size(candidate[1], small_size, model)) / 1e-3
         needed = ENTRY_HEIGHT * float(np.hypot(slope * std, self.evidence.floor(candidate)))
         if not effect.shaped:
             return needed
@@ -156,25 +164,34 @@ class Projected:
         return max(needed, low) if needed <= high else None
 
     def alike(self, effects: set[str]) -> set[tuple[str, str]]:
-        """Return the pairs of effects with cosines above `ALIKE_COSINE` for most forms of either effect."""
-        spans: dict[str, list[slice]] = {}
-        rows: list[Array] = []
+        """Return the pairs of effects with cosines above `ALIKE_COSINE` for most forms of both effects."""
+        slices_by_effect: dict[str, list[slice]] = {}
+        directions: list[Array] = []
         for candidate in self.evidence.candidates:
             if candidate[0] in effects and (block := self.block(candidate)):
-                begin = sum(map(len, rows))
-                rows.append(self._directions(block))
-                spans.setdefault(candidate[0], []).append(slice(begin, begin + len(rows[-1])))
-        if not rows:
+                begin = sum(map(len, directions))
+                directions.append(self._directions(block))
+                slices_by_effect.setdefault(candidate[0], []).append(slice(begin, begin + len(directions[-1])))
+        if not directions:
             return set()
-        cosines = np.concatenate(rows) @ self.left @ np.concatenate(rows).T
+        cosines = np.concatenate(directions) @ self.projected_gram @ np.concatenate(directions).T
         pairs = set()
-        for first_effect, second_effect in combinations(sorted(spans), 2):
+        for first_effect, second_effect in combinations(sorted(slices_by_effect), 2):
             # cosine of the smallest angle between the columns of two forms
-            table = np.asarray(
-                [[np.linalg.norm(cosines[p, q], 2) for q in spans[second_effect]] for p in spans[first_effect]]
+            largest_cosines = np.asarray(
+                [
+                    [np.linalg.norm(cosines[p, q], 2) for q in slices_by_effect[second_effect]]
+                    for p in slices_by_effect[first_effect]
+                ]
             )
-            # a small lag is a small delay whatever the experiment: what counts is most of the sizes
-            if min(np.mean(table.max(axis=1) > ALIKE_COSINE), np.mean(table.max(axis=0) > ALIKE_COSINE)) > 0.5:
+            # a small lag is like a small delay in any experiment: effects are alike if most of their sizes are
+            if (
+                min(
+                    np.mean(largest_cosines.max(axis=1) > ALIKE_COSINE),
+                    np.mean(largest_cosines.max(axis=0) > ALIKE_COSINE),
+                )
+                > 0.5
+            ):
                 pairs.add((first_effect, second_effect))
         return pairs
 
@@ -186,7 +203,8 @@ class Projected:
         spanned[np.arange(len(shared_columns)), shared_columns] = 1.0
         if own_columns:
             spanned[:, own_columns] = -np.linalg.solve(
-                self.left[np.ix_(own_columns, own_columns)], self.left[np.ix_(own_columns, shared_columns)]
+                self.projected_gram[np.ix_(own_columns, own_columns)],
+                self.projected_gram[np.ix_(own_columns, shared_columns)],
             ).T
-        root = np.linalg.cholesky(spanned @ self.left @ spanned.T)
+        root = np.linalg.cholesky(spanned @ self.projected_gram @ spanned.T)
         return np.asarray(np.linalg.solve(root, spanned), np.float64)
