@@ -225,9 +225,9 @@ def test_a_pair_is_named_only_with_both():
 
 def test_an_unknown_is_owned_up_to_without_a_cause_only():
     truth = truth_of(kind="unknown")
-    assert mark("c", truth, answer_of(verdict="unknown"), UNMEASURED).owned_up
-    assert not mark("c", truth, answer_of(("cogging", 0.7, []), verdict="effect"), UNMEASURED).owned_up
-    assert not mark("c", truth, answer_of(verdict="none"), UNMEASURED).owned_up
+    assert mark("c", truth, answer_of(verdict="unknown"), UNMEASURED).says_unknown
+    assert not mark("c", truth, answer_of(("cogging", 0.7, []), verdict="effect"), UNMEASURED).says_unknown
+    assert not mark("c", truth, answer_of(verdict="none"), UNMEASURED).says_unknown
 
 
 def line(quantity, role="test", **values):

@@ -123,7 +123,8 @@ def _command_difference(
     return Mismatch(
         float(np.mean(is_outside)),
         f"{name} is {simulated_value:.6g} {simulated_command.units} at {time:.6g} s;"
-        f" {real_run.path} has {real_value:.6g} {real_command.units} there, and the same within {tolerance:.3g} {real_command.units} was expected",
+        f" {real_run.path} has {real_value:.6g} {real_command.units} there,"
+        f" and the same within {tolerance:.3g} {real_command.units} was expected",
     )
 
 
