@@ -29,10 +29,14 @@ def library() -> dict[str, Effect]:
             defined_here = isinstance(member, type) and member.__module__ == module.__name__
             if defined_here and issubclass(member, Effect) and hasattr(member, "name"):
                 effects[member.name] = member()
-    known = set(effect_names())
-    undefined = [f"{definition_file(name)}: is missing; it defines effect {name}" for name in set(effects) - known]
-    homes = {name: modules_of_others().get(name, f"leactl/effects/{name}.py") for name in known - set(effects)}
-    unformed = [f"{home}: no class of effect {name} is there" for name, home in homes.items()]
-    if undefined or unformed:
-        raise InputError(sorted(undefined + unformed))
+    defined_names = set(effect_names())
+    without_definition = [
+        f"{definition_file(name)}: is missing; it defines effect {name}" for name in set(effects) - defined_names
+    ]
+    module_files = {
+        name: modules_of_others().get(name, f"leactl/effects/{name}.py") for name in defined_names - set(effects)
+    }
+    without_class = [f"{module_file}: no class of effect {name} is there" for name, module_file in module_files.items()]
+    if without_definition or without_class:
+        raise InputError(sorted(without_definition + without_class))
     return dict(sorted(effects.items()))

@@ -23,10 +23,10 @@ class Cogging(Effect):
         if signals.angle is None:
             return {}
         waves: dict[str, Array] = {}
-        for place, order in enumerate(form):
-            further = f"_{order:g}" if place else ""
+        for index, order in enumerate(form):
+            suffix = f"_{order:g}" if index else ""
             cosine, sine = signals.waves(order)
-            waves |= {f"cos{further}": -cosine, f"sin{further}": -sine}
+            waves |= {f"cos{suffix}": -cosine, f"sin{suffix}": -sine}
         return {"drag": waves}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:

@@ -11,7 +11,7 @@ from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
-ROUNDING_SHARE = 1e-9  # of an interval: a ramp that is shorter by less than this fills the interval
+ROUNDING_SHARE = 1e-9  # share of an interval; a ramp that is shorter by less fills the interval
 
 
 class CommandSlewLimit(Effect):
@@ -19,7 +19,7 @@ class CommandSlewLimit(Effect):
 
     name = "command_slew_limit"
     one_sided = True
-    explains = 0.75  # in many a log the moment within an interval at which a command comes is not known
+    explains = 0.75  # many logs do not tell when within an interval a command comes
     shaped = True
     forms = ((0.0015,), (0.0032,), (0.0068,), (0.0145,), (0.03,), (0.06,), (0.12,), (0.25,), (0.5,))
     form_scales = ("highest rate",)
@@ -28,11 +28,11 @@ class CommandSlewLimit(Effect):
         """Return the change of the model's current by a rate limit of its command before the current loop."""
         if signals.command is None or signals.following is None or signals.looped is None:
             return {}
-        most = form[0] * signals.interval
+        largest_change = form[0] * signals.interval
         # a run may begin during a ramp: it starts at the current, not at the command
         begin = float(signals.command[0] if signals.current is None else signals.current[0])
-        ends = rate_limited(signals.command, most, begin)
-        shares = ramp_shares(ends, most, begin)
+        ends = rate_limited(signals.command, largest_change, begin)
+        shares = ramp_shares(ends, largest_change, begin)
         if not signals.command_held:
             # the command may change anywhere in an interval: a ramp counts in those that it fills and where it ends
             filled = shares > 1.0 - ROUNDING_SHARE
@@ -40,7 +40,7 @@ class CommandSlewLimit(Effect):
         return {"current_following": {"strength": signals.looped(ends, shares, begin) - signals.following}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Return the rate."""
+        """Return the largest rate of the command."""
         return {"rate": form[0]}
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
@@ -57,8 +57,8 @@ class CommandSlewLimit(Effect):
         return form
 
 
-def limited_means(values: Array, most: float) -> Array:
-    """Return the mean over each step of a signal that follows values by at most `most` in a step, from the first."""
+def limited_means(values: Array, largest_change: float) -> Array:
+    """Return the means over steps of a signal that follows values by at most `largest_change` in a step."""
     begin = float(values[0])
-    ends = rate_limited(values, most, begin)
-    return ramp_means(ends, ramp_shares(ends, most, begin), begin)
+    ends = rate_limited(values, largest_change, begin)
+    return ramp_means(ends, ramp_shares(ends, largest_change, begin), begin)

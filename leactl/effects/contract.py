@@ -68,36 +68,36 @@ class Signals:
     mechanical: str
     time: Array
     model: Model
-    interval: float
-    run: str = ""
+    interval: float  # s
+    run: str = ""  # name of the run
     fastest: float = 0.0  # rad/s, highest speed of the whole run, where this is a stretch of it
-    current: Array | None = None
+    current: Array | None = None  # A
     command: Array | None = None  # A, reference of the model's loop over each interval
     command_held: bool = False  # whether the log says that it steps where an interval begins and holds from there
     following: Array | None = None  # A, response of the model's loop to the reference, as the current is read
     # returns `following` for a command that ramps to its value as each interval begins and then holds; arguments: the
     # values, the share of each interval that the ramp takes, and the value before the first interval
     looped: Callable[[Array, Array, float], Array] | None = None
-    voltage: Array | None = None
+    voltage: Array | None = None  # V
     angle: Array | None = None
     sharp_angle: Array | None = None  # rad, mean over the interval that ends at each sample, not smoothed
     velocity: Array | None = None
     acceleration: Array | None = None
     sliding: Array | None = None
-    torque: Array | None = None
-    count: float = 0.0  # rad, of the encoder; zero where its steps do not show
+    torque: Array | None = None  # N*m
+    count: float = 0.0  # rad, step of the encoder; zero if its steps do not show
     settled: npt.NDArray[np.bool_] | bool = True  # whether the sticking position of a locked rotor is known
     unleapt: npt.NDArray[np.bool_] | bool = True  # whether the sliding of a locked rotor is known
     resolved: npt.NDArray[np.bool_] | bool = True  # whether the samples resolve the motion between them
     calm_torque: Array | None = None  # torque smoothed until the encoder's steps no longer show, for lags
     calm_velocity: Array | None = None  # velocity smoothed in the same way
     winding_rise: Array | None = None  # K above the model's reference temperature
-    housing_rise: Array | None = None
+    housing_rise: Array | None = None  # K above the model's reference temperature
     winding: Array | None = None  # degC
-    housing: Array | None = None
-    ambient: Array | None = None
-    line_current: Array | None = None
-    bus_voltage: Array | None = None
+    housing: Array | None = None  # degC
+    ambient: Array | None = None  # degC
+    line_current: Array | None = None  # A
+    bus_voltage: Array | None = None  # V
     extra: dict[str, Array] = field(default_factory=dict)
     smoothed: Callable[[Array], Array] = np.asarray  # smoothing of torques and accelerations
 
@@ -108,7 +108,7 @@ class Signals:
 
         Raises
         ------
-        ValueError : the run has no angle.
+        ValueError : the run has no angle or no velocity.
         """
         if self.angle is None or self.velocity is None:
             raise ValueError("waves over the angle of a run that has none")
@@ -126,30 +126,32 @@ class Effect:
     form_scales: ClassVar[tuple[str, ...]] = ()  # names in `SCALES`; missing ones are 1
     relative_to: ClassVar[tuple[str, ...]] = ()  # model parameters of the torque of which the effect is a share
     one_sided: ClassVar[bool] = False  # whether its coefficient has to be positive
-    least: ClassVar[float] = 0.0  # size below which another cause is assumed
+    least: ClassVar[float] = 0.0  # smallest size; below it another cause is assumed
     continuous: ClassVar[bool] = True  # whether values between those of its forms are possible
-    refined: ClassVar[int] = 1  # how many of a form's numbers are refined, from the first on
+    refined: ClassVar[int] = 1  # number of a form's numbers that are refined, from the first on
     narrow: ClassVar[bool] = False  # whether the first number may lie between two forms that both show nothing
     shaped: ClassVar[bool] = False  # whether its coefficient is a share of a shape, and 1 for the whole effect
     limits_current: ClassVar[bool] = False  # whether it alone determines the current wherever it acts
     delays: ClassVar[bool] = False  # whether it is a pure delay, as wrong stamps are
-    explains: ClassVar[float] = 0.82  # least share of the residual where it acts that its right form explains
+    explains: ClassVar[float] = 0.82  # least share of the residual that its right form explains where it acts
     periodic: ClassVar[str] = ""  # place of a wave over the angle, whose order a periodogram finds; empty for others
     orders: ClassVar[tuple[int, int]] = (0, 0)  # lowest and highest order tried of a wave, the first number of its form
 
     def forms_at(self, scales: Mapping[str, float]) -> list[Form]:
-        """Return the forms in SI units at a machine's scales (see `SCALES`); none where a scale is not known."""
+        """Return the forms in SI units at a machine's scales (see `SCALES`); empty if a scale is not known."""
         scale_values = [scales.get(name) for name in self.form_scales]
         if None in scale_values:
             return []
-        return [tuple(part * (scale or 1.0) for part, scale in zip_longest(form, scale_values)) for form in self.forms]
+        return [
+            tuple(number * (scale or 1.0) for number, scale in zip_longest(form, scale_values)) for form in self.forms
+        ]
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Return the columns by place and coefficient; empty where the run cannot show the effect."""
+        """Return the columns by place and coefficient, shape (samples,); empty if the run cannot show the effect."""
         raise NotImplementedError
 
     def terms_of_all(self, signals: Signals, forms: Sequence[Form]) -> Iterator[Terms]:
-        """Yield the terms of several forms; an effect overrides it where all at once cost less."""
+        """Yield the terms of several forms; an effect overrides this method if all forms at once cost less."""
         return (self.terms(signals, form) for form in forms)
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
@@ -161,7 +163,7 @@ class Effect:
         return True
 
     def is_usual(self, travel: float) -> bool:
-        """Return whether it is the usual one of several effects with equal columns.
+        """Return whether the effect is the usual cause among effects with equal columns.
 
         travel : rad, angle range of the widest run.
         """
@@ -183,9 +185,9 @@ class Effect:
         return (form[0] * strength, *form[1:])
 
     def about(self, form: Form, coefficients: Mapping[str, float]) -> Form:
-        """Return the form about which columns are linearised once coefficients are known."""
+        """Return the form at which the columns are linearised again once coefficients are fitted."""
         return form
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:
-        """Return the size of the effect in units of its leading parameter; zero where it is absent."""
+        """Return the size of the effect in the unit of its leading parameter; zero if it is absent."""
         return abs(next(iter(self.parameters(form, coefficients, model).values())))

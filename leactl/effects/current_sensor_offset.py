@@ -18,8 +18,8 @@ class CurrentSensorOffset(Effect):
         """Return a constant, or the heat that the model computes in excess from a measured current."""
         if signals.current is not None or "commanded" in signals.extra:  # a commanded force has the current's zero
             return {"current_reading": {"offset": np.ones_like(signals.time)}}
-        more = signals.extra.get("heat_per_ampere")
-        return {"winding_heat": {"offset": -more}} if more is not None else {}
+        heat_per_ampere = signals.extra.get("heat_per_ampere")
+        return {"winding_heat": {"offset": -heat_per_ampere}} if heat_per_ampere is not None else {}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return the offset."""

@@ -29,5 +29,5 @@ class DeadTime(Effect):
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Add a loss of voltage between drive and winding."""
-        lost, current = parameters["voltage"], parameters["current"]
-        plant.lost_voltage.append(lambda flowing: lost * np.tanh(flowing / current))
+        lost_voltage, saturating_current = parameters["voltage"], parameters["current"]
+        plant.lost_voltage.append(lambda current: lost_voltage * np.tanh(current / saturating_current))

@@ -8,7 +8,7 @@ from leactl.effects.contract import Effect, Form, Signals, Terms
 from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
-LEAST_INVERSE_FRACTION = 0.05  # of the camera's fraction: a fit that is linear in this inverse may give zero or less
+LEAST_INVERSE_FRACTION = 0.05  # smallest inverse of the fraction; a fit that is linear in it may give zero or less
 
 
 class EmissivityBias(Effect):
@@ -27,18 +27,20 @@ class EmissivityBias(Effect):
         terms: Terms = {"camera_rise": {"excess": np.ones_like(signals.time)}}
         model = signals.model
         if model.phase_resistance is not None:
-            unseen = -model.phase_resistance * model.resistance_coefficient * (signals.winding - signals.ambient)
+            resistance_change = (
+                -model.phase_resistance * model.resistance_coefficient * (signals.winding - signals.ambient)
+            )
             if signals.current is not None:
-                terms["voltage"] = {"excess": unseen * signals.current}
-            squared = signals.extra.get("current_squared")
-            if squared is not None and signals.line_current is None:
-                terms["winding_heat"] = {"excess": unseen * squared}
+                terms["voltage"] = {"excess": resistance_change * signals.current}
+            current_squared = signals.extra.get("current_squared")
+            if current_squared is not None and signals.line_current is None:
+                terms["winding_heat"] = {"excess": resistance_change * current_squared}
             if signals.line_current is not None:
-                terms["line_voltage"] = {"excess": 2.0 * unseen * signals.line_current}
+                terms["line_voltage"] = {"excess": 2.0 * resistance_change * signals.line_current}
         return terms
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Return the fraction; the columns are linear in its inverse, since they contain the rise that is read."""
+        """Return the fraction; the columns are linear in its inverse, since they contain the camera's reading."""
         return {"fraction": 1.0 / max(1.0 - coefficients["excess"], LEAST_INVERSE_FRACTION)}
 
     def size(self, form: Form, coefficients: Mapping[str, float], model: Model) -> float:

@@ -16,7 +16,7 @@ class EncoderEccentricity(Effect):
     name = "encoder_eccentricity"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Return cosine and sine of the angle."""
+        """Return cosine and sine of the angle, as errors of the angle reading."""
         if signals.angle is None or signals.mechanical == "locked":
             return {}
         return {"angle_reading": {"cos": np.cos(signals.angle), "sin": np.sin(signals.angle)}}

@@ -24,8 +24,8 @@ class ForcedConvection(Effect):
             or signals.velocity is None
         ):
             return {}
-        leaving = (signals.housing - signals.ambient) / signals.model.thermal.housing_ambient_resistance
-        return {"housing_heat": {"coefficient": -leaving * np.abs(signals.velocity)}}
+        model_heat = (signals.housing - signals.ambient) / signals.model.thermal.housing_ambient_resistance
+        return {"housing_heat": {"coefficient": -model_heat * np.abs(signals.velocity)}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return the relative growth per speed."""

@@ -32,5 +32,5 @@ class FrictionRunIn(Effect):
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Add friction that settles over the run."""
-        excess, settling = parameters["excess"], parameters["time_constant"]
-        plant.friction_share.append(lambda run: 1.0 + excess * np.exp(-run.time / settling))
+        excess, time_constant = parameters["excess"], parameters["time_constant"]
+        plant.friction_share.append(lambda run: 1.0 + excess * np.exp(-run.time / time_constant))

@@ -2,8 +2,8 @@
 
 The load goes on by itself, slowed by its own friction, until a flank of the motor's side reaches it; there it takes the
 motor's speed without rebound, as gears do whose teeth are stiff and damped (models of play: Nordin and Gutman, 2002).
-What moves the load is the measured motion of the motor alone, so that the torque it asks for is known up to its share
-of the inertia.
+The measured motion of the motor alone moves the load, so that the load's torque is known but for its share of the
+inertia.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,8 +16,8 @@ from leactl.effects.plant import GearedLoad, Plant
 from leactl.effects.teeth import follow_loads
 from leactl.model.nominal import Model
 
-DEFAULT_FRICTION_SHARE = 0.2  # a load's share of the friction where the parameters do not give it
-LEAST_PLAY_COUNTS = 4.0  # encoder counts; the ends of a play are known to one count, so a smaller play does not show
+DEFAULT_FRICTION_SHARE = 0.2  # a load's share of the friction if the parameters do not give it
+LEAST_PLAY_COUNTS = 4.0  # encoder counts, smallest play that shows; its ends are known to one count
 MOST_SAMPLES_AT_ONCE = 1 << 20  # samples of all loads that are stepped together: bounds the memory for many forms
 
 
@@ -28,10 +28,12 @@ class GearBacklash(Effect):
     relative_to = ("rotor_inertia",)
     one_sided = True
     explains = 0.6  # the time at which flanks meet is known to one sample, and the torque there is large
-    least = 0.1  # of the inertia: a load is no loose part
+    least = 0.1  # share of the inertia; a smaller part is loose, and no load
     refined = 2
     forms = tuple(
-        (float(play), rubbed) for play in np.geomspace(0.001, 0.064, 9) for rubbed in (0.02, 0.06, 0.2, 0.5, 1.2)
+        (float(play), friction_ratio)
+        for play in np.geomspace(0.001, 0.064, 9)
+        for friction_ratio in (0.02, 0.06, 0.2, 0.5, 1.2)
     )
 
     def applies(self, model: Model) -> bool:
@@ -49,18 +51,25 @@ class GearBacklash(Effect):
             yield from ({} for _ in forms)
             return
         damping, friction = signals.model.viscous_damping or 0.0, signals.model.coulomb_friction or 0.0
-        together = max(MOST_SAMPLES_AT_ONCE // len(speed), 1)
-        for first in range(0, len(forms), together):
-            plays, rubbed = (np.array(column) for column in zip(*forms[first : first + together], strict=True))
-            rates = rubbed * damping / inertia, rubbed * friction / inertia
+        forms_at_once = max(MOST_SAMPLES_AT_ONCE // len(speed), 1)
+        for first in range(0, len(forms), forms_at_once):
+            plays, friction_ratios = (
+                np.array(column) for column in zip(*forms[first : first + forms_at_once], strict=True)
+            )
+            rates = friction_ratios * damping / inertia, friction_ratios * friction / inertia
             loads, _ = follow_loads(speed, signals.interval, 0.5 * plays, *rates)
-            for load, play, ratio in zip(loads, plays, rubbed, strict=True):
+            for load, play, friction_ratio in zip(loads, plays, friction_ratios, strict=True):
                 if play < LEAST_PLAY_COUNTS * signals.count:
                     yield {}
                     continue
-                beyond = signals.smoothed(load - speed)
-                rubs = damping * beyond + friction * signals.smoothed(np.sign(load) - np.sign(speed))
-                yield {"drag": {"share": inertia * np.gradient(beyond, signals.interval) + ratio * rubs}}
+                relative_speed = signals.smoothed(load - speed)
+                friction_change = damping * relative_speed + friction * signals.smoothed(np.sign(load) - np.sign(speed))
+                yield {
+                    "drag": {
+                        "share": inertia * np.gradient(relative_speed, signals.interval)
+                        + friction_ratio * friction_change
+                    }
+                }
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return the play, and the load's shares of the inertia and of the friction."""

@@ -1,7 +1,7 @@
 """Joint elasticity: a share of the inertia follows the motor through a spring and a damper, and nothing else moves it.
 
-The load's acceleration is the motor's behind (2 z w s + w^2) / (s^2 + 2 z w s + w^2), w being the pulsation at which it
-swings while the motor stands, z its damping ratio (Spong, 1987, of joints with elastic transmissions).
+The load's acceleration is the motor's behind (2 z w s + w^2) / (s^2 + 2 z w s + w^2), w being the angular frequency at
+which it swings while the motor stands, z its damping ratio (Spong, 1987, of joints with elastic transmissions).
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from leactl.effects.contract import Array, Effect, Form, Signals, Terms
 from leactl.effects.plant import ElasticLoad, Plant
 from leactl.model.nominal import Model
 
-DEFAULT_DAMPING_RATIO = 0.05  # typical of gears and belts
+DEFAULT_DAMPING_RATIO = 0.05  # typical for gears and belts
 LEAST_CREEP_DAMPING = 1.0  # damping ratio from which a load follows without a swing, like a lag of the motor itself
 MOST_LOAD_SHARE = 0.9  # largest share of the inertia in a simulated load: the motor's rotor has the remainder
 DECAYED_TIME_CONSTANTS = 4.0  # time constants after which two per cent of a swing remain
@@ -28,7 +28,7 @@ class JointElasticity(Effect):
     name = "joint_elasticity"
     relative_to = ("rotor_inertia",)
     one_sided = True
-    least = 0.1  # of the inertia: a load is no loose part, and less is what a loop or a stamp is late by
+    least = 0.1  # share of the inertia; a smaller part is loose, or the lateness of a loop or a stamp
     forms = tuple((float(rate), damping) for rate in np.geomspace(0.003, 0.045, 14) for damping in (0.02, 0.07, 0.25))
     form_scales = ("sampling rate", "1")
     refined = 2
@@ -45,9 +45,9 @@ class JointElasticity(Effect):
             return {}
         if form[1] >= LEAST_CREEP_DAMPING:
             return {}
-        behind = load_acceleration(signals.acceleration, form[0], form[1], signals.interval)
-        behind += swing_at_start(signals, behind, form)
-        return {"drag": {"share": inertia * (behind - signals.acceleration)}}
+        load_motion = load_acceleration(signals.acceleration, form[0], form[1], signals.interval)
+        load_motion += swing_at_start(signals, load_motion, form)
+        return {"drag": {"share": inertia * (load_motion - signals.acceleration)}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return the load's share of the inertia, and frequency and damping ratio of its swing."""
@@ -60,37 +60,39 @@ class JointElasticity(Effect):
         plant.elastic_load = ElasticLoad(share, parameters["frequency"], damping)
 
 
-def swing_at_start(signals: Signals, behind: Array, form: Form) -> Array:
-    """Return the decaying part of the load's acceleration, beyond `behind`, from a swing at a run's start.
+def swing_at_start(signals: Signals, load_motion: Array, form: Form) -> Array:
+    """Return the decaying part of the load's acceleration, beyond `load_motion`, of a swing at a run's start.
 
     A run may begin while the load swings, or with a leap within its first sample, of which no earlier angle is logged.
-    The swing is fitted to the torque balance of the run's current over its decay time. It is zero where the current is
-    not logged, and where the fitted load is too small.
+    The swing is fitted to the torque balance of the run's current over its decay time. It is zero if the current is not
+    logged, the run is too short, or the fitted load is too small.
     """
-    rate = 2.0 * np.pi * form[0]
-    fading, ringing = form[1] * rate, rate * np.sqrt(1.0 - form[1] ** 2)
-    time = np.arange(len(behind), dtype=np.float64) * signals.interval
-    within = slice(0, int(np.searchsorted(time, DECAYED_TIME_CONSTANTS / fading)))
+    angular_frequency = 2.0 * np.pi * form[0]
+    decay_rate, swing_rate = form[1] * angular_frequency, angular_frequency * np.sqrt(1.0 - form[1] ** 2)
+    time = np.arange(len(load_motion), dtype=np.float64) * signals.interval
+    fitted_samples = slice(0, int(np.searchsorted(time, DECAYED_TIME_CONSTANTS / decay_rate)))
     if signals.current is None or signals.acceleration is None or signals.sliding is None or signals.velocity is None:
-        return np.zeros_like(behind)
-    swings = fading_waves(fading, ringing, time)
-    columns = [behind, *swings, signals.acceleration, signals.velocity, signals.sliding]
-    table = np.stack([column[within] for column in columns], axis=1)
-    if len(table) < FEWEST_SAMPLES_PER_COEFFICIENT * len(columns):
-        return np.zeros_like(behind)
-    load, *begins, rotor, _, _ = np.linalg.lstsq(table, signals.current[within], rcond=None)[0]
-    if load <= JointElasticity.least * abs(load + rotor):
-        return np.zeros_like(behind)
-    return np.asarray((begins[0] * swings[0] + begins[1] * swings[1]) / load, np.float64)
+        return np.zeros_like(load_motion)
+    swings = fading_waves(decay_rate, swing_rate, time)
+    columns = [load_motion, *swings, signals.acceleration, signals.velocity, signals.sliding]
+    design = np.stack([column[fitted_samples] for column in columns], axis=1)
+    if len(design) < FEWEST_SAMPLES_PER_COEFFICIENT * len(columns):
+        return np.zeros_like(load_motion)
+    load_coefficient, cosine, sine, rotor_coefficient, _, _ = np.linalg.lstsq(
+        design, signals.current[fitted_samples], rcond=None
+    )[0]
+    if load_coefficient <= JointElasticity.least * abs(load_coefficient + rotor_coefficient):
+        return np.zeros_like(load_motion)
+    return np.asarray((cosine * swings[0] + sine * swings[1]) / load_coefficient, np.float64)
 
 
-def fading_waves(fading: float, ringing: float, time: Array) -> list[Array]:
+def fading_waves(decay_rate: float, swing_rate: float, time: Array) -> list[Array]:
     """Return cosine and sine of a decaying swing, zero where they are below rounding errors."""
-    sample_count = int(np.searchsorted(time, VANISHED_TIME_CONSTANTS / fading))
+    sample_count = int(np.searchsorted(time, VANISHED_TIME_CONSTANTS / decay_rate))
     swings = np.zeros((2, len(time)))
-    envelope = np.exp(-fading * time[:sample_count])
+    envelope = np.exp(-decay_rate * time[:sample_count])
     for swing, wave in zip(swings, (np.cos, np.sin), strict=True):
-        swing[:sample_count] = envelope * wave(ringing * time[:sample_count])
+        swing[:sample_count] = envelope * wave(swing_rate * time[:sample_count])
     return list(swings)
 
 
@@ -104,7 +106,7 @@ def load_acceleration(acceleration: Array, frequency: float, damping_ratio: floa
 @lru_cache(maxsize=1024)  # all runs of a machine, and their simulated sound runs, need the same filters
 def load_filter(frequency: float, damping_ratio: float, interval: float) -> tuple[Array, Array]:
     """Return numerator and denominator of the discrete filter from a motor's acceleration to its load's."""
-    rate = 2.0 * np.pi * frequency
-    stiffness_terms = [2.0 * damping_ratio * rate, rate**2]
+    angular_frequency = 2.0 * np.pi * frequency
+    stiffness_terms = [2.0 * damping_ratio * angular_frequency, angular_frequency**2]
     numerator, denominator, _ = cont2discrete((stiffness_terms, [1.0, *stiffness_terms]), interval, "foh")
     return numerator.ravel(), denominator.ravel()

@@ -9,7 +9,7 @@ from leactl.effects.hysteresis_and_lags import stuck_between
 from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
-LEAST_LOCKED_FORM = 0.01  # replaces a form of zero where a rotor sticks, whose column divides by the form
+LEAST_LOCKED_FORM = 0.01  # replaces a form of zero for a locked rotor, whose column is divided by the form
 
 
 class LoadDependentFriction(Effect):
@@ -27,13 +27,13 @@ class LoadDependentFriction(Effect):
             current = signals.extra.get("sharp_current", signals.current)
             if current is None:
                 return {}
-            hidden = hidden_locked_torque(current, signals.model, form[0] or LEAST_LOCKED_FORM)
-            return {"drag": {"coefficient": hidden}}
+            hidden_torque = hidden_locked_torque(current, signals.model, form[0] or LEAST_LOCKED_FORM)
+            return {"drag": {"coefficient": hidden_torque}}
         if signals.sliding is None or signals.velocity is None or signals.torque is None:
             return {}
         # the effect itself reduces a driving torque and increases a braking one
-        carried = np.abs(signals.torque) / (1.0 + form[0] * np.sign(signals.torque * signals.velocity))
-        return {"drag": {"coefficient": signals.sliding * carried}}
+        carried_torque = np.abs(signals.torque) / (1.0 + form[0] * np.sign(signals.torque * signals.velocity))
+        return {"drag": {"coefficient": signals.sliding * carried_torque}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return the friction per torque."""
@@ -48,11 +48,11 @@ class LoadDependentFriction(Effect):
 def hidden_locked_torque(current: Array, model: Model, coefficient: float) -> Array:
     """Return the torque that a locked rotor hides in addition to the model's friction, per coefficient.
 
-    Rising levels lose a share of the torque and falling ones keep it. Their mean changes by c^2, which in a model
+    Rising levels lose a share of the torque and falling levels keep it. Their mean changes by c^2, which in a model
     without this effect looks like a gain of the torque sensor.
     """
-    force = (model.torque_constant or 0.0) * current
+    motor_torque = (model.torque_constant or 0.0) * current
     friction, sign = model.coulomb_friction or 0.0, np.sign
-    low = (force - friction) / (1.0 + coefficient * sign(force - friction))
-    high = (force + friction) / (1.0 - coefficient * sign(force + friction))
-    return (stuck_between(force - friction, force + friction) - stuck_between(low, high)) / coefficient
+    low = (motor_torque - friction) / (1.0 + coefficient * sign(motor_torque - friction))
+    high = (motor_torque + friction) / (1.0 - coefficient * sign(motor_torque + friction))
+    return (stuck_between(motor_torque - friction, motor_torque + friction) - stuck_between(low, high)) / coefficient

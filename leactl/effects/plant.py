@@ -33,30 +33,30 @@ class Course:
     """One run on an even clock."""
 
     time: Array  # s since the run's start
-    interval: float
+    interval: float  # s
     angle: Array  # rad
     housing: Array  # degC
 
 
-OfMoment = Callable[[Moment], Array]
-OfCourse = Callable[[Course], Array]
-Becomes = Callable[[Array, float], Array]  # values and their interval
-Reads = Callable[[Course, Array], Array]  # a run, and the reading so far
+OfMoment = Callable[[Moment], Array]  # a torque or factor for each rotor at one instant
+OfCourse = Callable[[Course], Array]  # a factor over one run
+Becomes = Callable[[Array, float], Array]  # changes values, given their interval [s]
+Reads = Callable[[Course, Array], Array]  # changes a reading of a run
 
 
 class ElasticLoad(NamedTuple):
     """A part of a rotor's inertia that is coupled by a spring and a damper."""
 
     share: float  # of the whole inertia
-    frequency: float  # Hz, of its swing while the rest stands
+    frequency: float  # Hz, of its swing while the motor stands
     damping_ratio: float
 
 
 class GearedLoad(NamedTuple):
     """A part of a rotor's inertia that teeth with play move, with its part of the friction."""
 
-    share: float  # of the whole inertia
-    friction: float  # of the whole friction
+    share: float  # share of the whole inertia
+    friction: float  # share of the whole friction
 
 
 @dataclass
@@ -69,19 +69,20 @@ class Plant:
     play: float = 0.0  # rad, whole width between actuator and shaft, or of a free rotor's gear
     elastic_load: ElasticLoad | None = None  # on a free rotor
     geared_load: GearedLoad | None = None  # on a free rotor
-    bristle: float = 0.0  # rad, over which friction builds up by an effect
-    give: float = BEARING_GIVE  # rad, over which friction builds up in any bearing
+    bristle: float = 0.0  # rad, angle over which friction builds up by an effect
+    give: float = BEARING_GIVE  # rad, angle over which friction builds up in any bearing
     current_gain: float = 1.0  # measured current over current
-    current_offset: float = 0.0  # A
-    bus_resistance: float = 0.0  # ohm
+    current_offset: float = 0.0  # A, measured current less current
+    bus_resistance: float = 0.0  # ohm, of the supply
     camera_fraction: float = 1.0  # of the rise above ambient that the camera reads
     further_node: tuple[float, float] | None = None  # J/K and K/W of a body behind the housing
 
-    command: list[Becomes] = field(default_factory=list)  # A, changes of the command of the current loop
-    command_at_speed: list[Callable[[Array, Array], Array]] = field(default_factory=list)  # the same at a speed [rad/s]
-    loop_answer: list[Becomes] = field(default_factory=list)  # A, changes of the current loop's response
-    set_point: list[Becomes] = field(default_factory=list)  # rad, changes of the set-point of a position servo
-    servo_error: list[Callable[[Array], Array]] = field(default_factory=list)  # rad, changes of the servo's error [rad]
+    command: list[Becomes] = field(default_factory=list)  # changes of the current loop's command [A]
+    # changes of that command at a speed [rad/s]
+    command_at_speed: list[Callable[[Array, Array], Array]] = field(default_factory=list)
+    loop_answer: list[Becomes] = field(default_factory=list)  # changes of the current loop's response [A]
+    set_point: list[Becomes] = field(default_factory=list)  # changes of a position servo's set-point [rad]
+    servo_error: list[Callable[[Array], Array]] = field(default_factory=list)  # changes of the servo's error [rad]
     torque_share: list[Callable[[Array], Array]] = field(default_factory=list)  # factor at a current [A]
     magnet_share: list[OfCourse] = field(default_factory=list)  # factor on torque and back-EMF constant
     friction_share: list[OfCourse] = field(default_factory=list)  # factor on viscous damping and Coulomb friction
@@ -93,8 +94,8 @@ class Plant:
     coulomb_share: list[OfMoment] = field(default_factory=list)  # factor on Coulomb friction
     coulomb_added: list[OfMoment] = field(default_factory=list)  # N*m of Coulomb friction beyond the model's
 
-    torque_reading: list[Reads] = field(default_factory=list)
-    velocity_reading: list[Becomes] = field(default_factory=list)
+    torque_reading: list[Reads] = field(default_factory=list)  # changes of the torque reading [N*m]
+    velocity_reading: list[Becomes] = field(default_factory=list)  # changes of the velocity reading [rad/s]
     angle_error: list[Callable[[Array], Array]] = field(default_factory=list)  # rad at an angle
 
     ambient_change: list[Callable[[Array], Array]] = field(default_factory=list)  # K at a time in the run

@@ -26,11 +26,11 @@ class PositionSpring(Effect):
         """Return the torque of a spring at rest at the form's angle, and its derivative with that angle."""
         if signals.angle is None or signals.mechanical != "free":
             return {}
-        reach, rest = form
-        away = signals.angle - rest
-        bent = 1.0 + (away / reach) ** 2
+        reach, rest_angle = form
+        deflection = signals.angle - rest_angle
+        softening = 1.0 + (deflection / reach) ** 2
         # columns are sorted by the names of coefficients: that of the effect's size has to come first
-        return {"drag": {"pull": away / np.sqrt(bent), "rest": -(bent**-1.5)}}
+        return {"drag": {"pull": deflection / np.sqrt(softening), "rest": -(softening**-1.5)}}
 
     def is_distinct(self, form: Form, coefficients: Mapping[str, float], visited: tuple[float, float]) -> bool:
         """Return whether some run passes the rest: else the spring pulls in one direction, as a constant torque."""
@@ -52,11 +52,11 @@ class PositionSpring(Effect):
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Add a torque over the angle to the rotor."""
-        stiffness, rest = parameters["stiffness"], parameters["rest_angle"]
+        stiffness, rest_angle = parameters["stiffness"], parameters["rest_angle"]
         reach = parameters.get("reach", np.inf)
 
         def pull(angle: Array) -> Array:
-            away = angle - rest
-            return np.asarray(stiffness * away / np.sqrt(1.0 + (away / reach) ** 2), np.float64)
+            deflection = angle - rest_angle
+            return np.asarray(stiffness * deflection / np.sqrt(1.0 + (deflection / reach) ** 2), np.float64)
 
         plant.rotor_torque.append(lambda now: -pull(now.angle))

@@ -24,8 +24,8 @@ class PowerFoldback(Effect):
         constant = signals.model.torque_constant
         if signals.following is None or signals.velocity is None or constant is None:
             return {}
-        cut = folded_back(signals.following, signals.velocity, form[0] / constant)
-        return {"current_following": {"strength": cut - signals.following}}
+        limited_current = folded_back(signals.following, signals.velocity, form[0] / constant)
+        return {"current_following": {"strength": limited_current - signals.following}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return the largest power."""
@@ -39,14 +39,14 @@ class PowerFoldback(Effect):
         """Add a limit of the command at the measured speed."""
         constant = plant.model.torque_constant
         if constant is not None:
-            most = parameters["power"] / constant
-            plant.command_at_speed.append(lambda values, speed: folded_back(values, speed, most))
+            largest_product = parameters["power"] / constant
+            plant.command_at_speed.append(lambda values, speed: folded_back(values, speed, largest_product))
 
     def whole(self, form: Form, strength: float) -> Form:
         """Return the form unchanged: half of a limit is no limit at another power."""
         return form
 
 
-def folded_back(current: Array, velocity: Array, most: float) -> Array:
+def folded_back(current: Array, velocity: Array, largest_product: float) -> Array:
     """Return the current [A], reduced so that its product with the speed stays within a bound [A*rad/s]."""
-    return np.asarray(current * (most / np.maximum(np.abs(current * velocity), most)), np.float64)
+    return np.asarray(current * (largest_product / np.maximum(np.abs(current * velocity), largest_product)), np.float64)

@@ -28,9 +28,9 @@ class Presliding(Effect):
         if signals.mechanical == "locked":
             if signals.torque is None or signals.current is None or model.bench.shaft_stiffness is None:
                 return {}
-            hidden = (model.torque_constant or 0.0) * signals.current - signals.torque
-            bent = bristle(signals.torque / model.bench.shaft_stiffness, form[0])
-            return {"drag": {"strength": model.coulomb_friction * bent - hidden}}
+            hidden_torque = (model.torque_constant or 0.0) * signals.current - signals.torque
+            bristle_share = bristle(signals.torque / model.bench.shaft_stiffness, form[0])
+            return {"drag": {"strength": model.coulomb_friction * bristle_share - hidden_torque}}
         if signals.sliding is None or signals.angle is None:
             return {}
         return {"drag": {"strength": model.coulomb_friction * (bristle(signals.angle, form[0]) - signals.sliding)}}

@@ -14,7 +14,7 @@ class ResistanceTemperature(Effect):
     one_sided = True
 
     def applies(self, model: Model) -> bool:
-        """Return whether the model has no coefficient; one that it has is a parameter."""
+        """Return whether the model's coefficient is zero; any other coefficient is a parameter of the model."""
         return model.resistance_coefficient == 0.0
 
     def terms(self, signals: Signals, form: Form) -> Terms:
@@ -23,12 +23,12 @@ class ResistanceTemperature(Effect):
             return {}
         terms: Terms = {}
         if signals.current is not None:
-            added = signals.model.phase_resistance * signals.winding_rise * signals.current
-            terms["voltage"] = {"coefficient": added}
+            added_voltage = signals.model.phase_resistance * signals.winding_rise * signals.current
+            terms["voltage"] = {"coefficient": added_voltage}
         if signals.line_current is not None:
             rise = signals.extra.get("fed_rise", signals.winding_rise)  # of the phases that two leads feed
-            added = 2.0 * signals.model.phase_resistance * rise * signals.line_current
-            terms["line_voltage"] = {"coefficient": added}
+            added_voltage = 2.0 * signals.model.phase_resistance * rise * signals.line_current
+            terms["line_voltage"] = {"coefficient": added_voltage}
         elif "heat" in signals.extra:
             terms["winding_heat"] = {"coefficient": signals.extra["heat"] * signals.winding_rise}
         return terms

@@ -30,5 +30,9 @@ class Saturation(Effect):
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Add a torque constant that falls with a power of the current, the square by default."""
-        loss, exponent, full = parameters["loss"], parameters.get("exponent", 2.0), parameters.get("current", 25.0)
-        plant.torque_share.append(lambda current: 1.0 - loss * (np.abs(current) / full) ** exponent)
+        loss, exponent, full_current = (
+            parameters["loss"],
+            parameters.get("exponent", 2.0),
+            parameters.get("current", 25.0),
+        )
+        plant.torque_share.append(lambda current: 1.0 - loss * (np.abs(current) / full_current) ** exponent)

@@ -24,7 +24,7 @@ class ServoDeadBand(Effect):
         return {}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Return the band."""
+        """Return half the width of the band."""
         return {"band": coefficients["band"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:

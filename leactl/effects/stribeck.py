@@ -27,8 +27,8 @@ class Stribeck(Effect):
             or signals.model.coulomb_friction is None
         ):
             return {}
-        fading = np.exp(-((np.abs(signals.velocity) / form[0]) ** form[1]))
-        return {"drag": {"ratio": signals.model.coulomb_friction * signals.sliding * fading}}
+        decay = np.exp(-((np.abs(signals.velocity) / form[0]) ** form[1]))
+        return {"drag": {"ratio": signals.model.coulomb_friction * signals.sliding * decay}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return ratio, speed and shape."""
@@ -36,6 +36,6 @@ class Stribeck(Effect):
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Add a factor on friction that falls with speed."""
-        ratio, fading = parameters["breakaway_ratio"], parameters["stribeck_velocity"]
+        ratio, velocity = parameters["breakaway_ratio"], parameters["stribeck_velocity"]
         shape = parameters.get("shape", 1.0)
-        plant.coulomb_share.append(lambda now: 1.0 + ratio * np.exp(-((np.abs(now.velocity) / fading) ** shape)))
+        plant.coulomb_share.append(lambda now: 1.0 + ratio * np.exp(-((np.abs(now.velocity) / velocity) ** shape)))

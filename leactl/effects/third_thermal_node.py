@@ -22,8 +22,8 @@ class ThirdThermalNode(Effect):
         """Return the heat from a body that follows the housing with the time constant R C, per conductance."""
         if signals.housing is None or signals.ambient is None or signals.model.thermal is None:
             return {}
-        following = lagged(signals.housing, form[0], signals.interval)
-        columns = {"conductance": following - signals.housing}
+        body_temperature = lagged(signals.housing, form[0], signals.interval)
+        columns = {"conductance": body_temperature - signals.housing}
         if signals.mechanical != "heated":
             # the temperature of the body at the start of a run that begins warm is not known
             columns[f"start of {signals.run}"] = np.exp(-signals.time / form[0])

@@ -22,8 +22,8 @@ class TimeSkew(Effect):
         """Return the change of the model's torque by the delay."""
         if signals.calm_torque is None or signals.mechanical == "free":
             return {}
-        late = delayed(signals.calm_torque, form[0], signals.interval)
-        return {"torque_reading": {"strength": late - signals.calm_torque}}
+        delayed_torque = delayed(signals.calm_torque, form[0], signals.interval)
+        return {"torque_reading": {"strength": delayed_torque - signals.calm_torque}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return the delay."""

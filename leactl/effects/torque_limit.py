@@ -1,4 +1,4 @@
-"""Torque limit: the current is the model's, cut off at a largest one."""
+"""Torque limit: the current is the model's, cut off at a largest current."""
 
 from collections.abc import Mapping
 
@@ -23,8 +23,8 @@ class TorqueLimit(Effect):
         """Return the change of the model's current by the limit."""
         if signals.following is None:
             return {}
-        cut = np.clip(signals.following, -form[0], form[0])
-        return {"current_following": {"strength": cut - signals.following}}
+        limited_current = np.clip(signals.following, -form[0], form[0])
+        return {"current_following": {"strength": limited_current - signals.following}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return the largest current."""
@@ -36,8 +36,8 @@ class TorqueLimit(Effect):
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Add a limit of the command."""
-        most = parameters["current"]
-        plant.command.append(lambda values, interval: np.clip(values, -most, most))
+        limit = parameters["current"]
+        plant.command.append(lambda values, interval: np.clip(values, -limit, limit))
 
     def whole(self, form: Form, strength: float) -> Form:
         """Return the form unchanged: half of a limit is no limit at another current."""

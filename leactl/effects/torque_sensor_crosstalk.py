@@ -16,7 +16,7 @@ class TorqueSensorCrosstalk(Effect):
     name = "torque_sensor_crosstalk"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Return cosine and sine of the angle."""
+        """Return cosine and sine of the angle, as errors of the torque reading."""
         if signals.torque is None or signals.mechanical == "free" or signals.angle is None:
             return {}
         cosine, sine = signals.waves(1.0)

@@ -13,7 +13,7 @@ class TorqueSensorDrift(Effect):
     name = "torque_sensor_drift"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Return the time."""
+        """Return the time since the run's start, to which the reading's error is proportional."""
         if signals.torque is None or signals.mechanical == "free":
             return {}
         return {"torque_reading": {"rate": signals.time}}

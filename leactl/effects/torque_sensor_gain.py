@@ -13,7 +13,7 @@ class TorqueSensorGain(Effect):
     name = "torque_sensor_gain"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Return the model's torque."""
+        """Return the model's torque, to which the reading's error is proportional."""
         if signals.torque is None or signals.mechanical == "free":
             return {}
         return {"torque_reading": {"excess": signals.torque}}

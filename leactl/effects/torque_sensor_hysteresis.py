@@ -21,11 +21,11 @@ class TorqueSensorHysteresis(Effect):
         """Return the change of the model's torque by play, per share of the run's largest torque."""
         if signals.torque is None or signals.mechanical == "free":
             return {}
-        swing = float(np.max(np.abs(signals.torque)))
-        if swing == 0.0:
+        largest_torque = float(np.max(np.abs(signals.torque)))
+        if largest_torque == 0.0:
             return {}
-        behind = (play(signals.torque, form[0] * swing) - signals.torque) / form[0]
-        return {"torque_reading": {"width": behind}}
+        change = (play(signals.torque, form[0] * largest_torque) - signals.torque) / form[0]
+        return {"torque_reading": {"width": change}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return the half width over the run's largest torque."""

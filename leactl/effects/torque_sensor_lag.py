@@ -21,8 +21,8 @@ class TorqueSensorLag(Effect):
         """Return the change of the model's torque by the lag."""
         if signals.calm_torque is None or signals.mechanical == "free":
             return {}
-        late = lagged(signals.calm_torque, form[0], signals.interval)
-        return {"torque_reading": {"strength": late - signals.calm_torque}}
+        lagged_torque = lagged(signals.calm_torque, form[0], signals.interval)
+        return {"torque_reading": {"strength": lagged_torque - signals.calm_torque}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return the time constant."""
@@ -30,5 +30,5 @@ class TorqueSensorLag(Effect):
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Add a lag of the torque channel."""
-        constant = parameters["time_constant"]
-        plant.torque_reading.append(lambda run, reading: lagged(reading, constant, run.interval))
+        time_constant = parameters["time_constant"]
+        plant.torque_reading.append(lambda run, reading: lagged(reading, time_constant, run.interval))

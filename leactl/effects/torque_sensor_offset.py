@@ -15,7 +15,7 @@ class TorqueSensorOffset(Effect):
     name = "torque_sensor_offset"
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Return a constant."""
+        """Return a constant error of the reading."""
         if signals.torque is None or signals.mechanical == "free":
             return {}
         return {"torque_reading": {"offset": np.ones_like(signals.time)}}

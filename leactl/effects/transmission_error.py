@@ -14,7 +14,7 @@ class TransmissionError(Effect):
     """A gear that does not turn evenly."""
 
     name = "transmission_error"
-    forms = ((1.0,), (2.0,))  # of the gear's ratio
+    forms = ((1.0,), (2.0,))  # orders at the joint, as multiples of the gear's ratio
     continuous = False
 
     def applies(self, model: Model) -> bool:
@@ -25,8 +25,8 @@ class TransmissionError(Effect):
         """Return cosine and sine of the motor's angle, as an error of the joint's angle."""
         if signals.angle is None or signals.mechanical != "free":
             return {}
-        turned = form[0] * signals.model.gear_ratio * signals.angle
-        return {"angle_reading": {"cos": np.cos(turned), "sin": np.sin(turned)}}
+        wave_angle = form[0] * signals.model.gear_ratio * signals.angle
+        return {"angle_reading": {"cos": np.cos(wave_angle), "sin": np.sin(wave_angle)}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return amplitude, order at the joint, and phase."""

@@ -22,8 +22,8 @@ class TransportDelay(Effect):
         """Return the change of the model's current by the delay."""
         if signals.following is None:
             return {}
-        late = delayed(signals.following, form[0], signals.interval)
-        return {"current_following": {"strength": late - signals.following}}
+        delayed_current = delayed(signals.following, form[0], signals.interval)
+        return {"current_following": {"strength": delayed_current - signals.following}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return the delay."""

@@ -21,8 +21,8 @@ class VelocityFilterLag(Effect):
         """Return the change of the model's velocity by the lag."""
         if signals.calm_velocity is None or signals.angle is None:
             return {}
-        late = lagged(signals.calm_velocity, form[0], signals.interval)
-        return {"velocity_reading": {"strength": late - signals.calm_velocity}}
+        lagged_velocity = lagged(signals.calm_velocity, form[0], signals.interval)
+        return {"velocity_reading": {"strength": lagged_velocity - signals.calm_velocity}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return the time constant."""
@@ -30,5 +30,5 @@ class VelocityFilterLag(Effect):
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
         """Add a lag of the velocity channel."""
-        constant = parameters["time_constant"]
-        plant.velocity_reading.append(lambda values, interval: lagged(values, constant, interval))
+        time_constant = parameters["time_constant"]
+        plant.velocity_reading.append(lambda values, interval: lagged(values, time_constant, interval))

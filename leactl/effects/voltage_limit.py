@@ -35,10 +35,10 @@ class VoltageLimit(Effect):
             return {}
         if form[1] >= form[0]:  # a current that does not fall with speed: another limit
             return {}
-        cut = within_voltage(signals.command, signals.velocity, form[0], no_load_speed_of(form))
-        if np.array_equal(cut, signals.command):
+        limited_command = within_voltage(signals.command, signals.velocity, form[0], no_load_speed_of(form))
+        if np.array_equal(limited_command, signals.command):
             return {}
-        response = signals.looped(cut, np.zeros_like(cut), float(cut[0]))
+        response = signals.looped(limited_command, np.zeros_like(limited_command), float(limited_command[0]))
         return {"current_following": {"strength": response - signals.following}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
@@ -60,17 +60,17 @@ class VoltageLimit(Effect):
 
 
 def no_load_speed_of(form: Form) -> float:
-    """Return the no-load speed [rad/s] of a form; infinite where its limit does not fall with speed."""
-    stall_current, left, speed = form
-    return speed / (1.0 - left / stall_current) if left < stall_current else math.inf
+    """Return the no-load speed [rad/s] of a form; infinite if its limit does not fall with speed."""
+    stall_current, remaining_current, speed = form
+    return speed / (1.0 - remaining_current / stall_current) if remaining_current < stall_current else math.inf
 
 
 def within_voltage(current: Array, velocity: Array, stall_current: float, no_load_speed: float) -> Array:
-    """Return the current asked for [A], clipped to what the voltage can drive at this velocity [rad/s].
+    """Return the commanded current [A], clipped to what the voltage can drive at this velocity [rad/s].
 
     At rest the bounds are plus and minus `stall_current` [A]. Both shift against the velocity in proportion to it, so
-    that the upper one is zero at `no_load_speed` [rad/s]. Above that speed the motor brakes even where no current is
-    asked for.
+    that the upper bound is zero at `no_load_speed` [rad/s]. Above that speed the motor brakes even if no current is
+    commanded.
     """
-    by_back_emf = stall_current * velocity / no_load_speed  # A, K velocity / R
-    return np.asarray(np.clip(current, -stall_current - by_back_emf, stall_current - by_back_emf), np.float64)
+    back_emf_current = stall_current * velocity / no_load_speed  # A, K velocity / R
+    return np.asarray(np.clip(current, -stall_current - back_emf_current, stall_current - back_emf_current), np.float64)
