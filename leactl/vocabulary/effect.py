@@ -1,6 +1,6 @@
 """Definitions of effects, read from YAML files.
 
-Those of leactl lie in `leactl/vocabulary/effects`, those of another package beside the modules of their effects.
+Definitions of leactl lie in `leactl/vocabulary/effects`, those of another package beside the modules of its effects.
 """
 
 import math
@@ -16,19 +16,19 @@ from leactl import yamlfile
 from leactl.errors import InputError
 from leactl.vocabulary.variable import Variable
 
-GROUP = "leactl.effects"  # entry points, each a module with one subclass of `leactl.effects.contract.Effect`
+GROUP = "leactl.effects"  # group of entry points, each a module with a subclass of `leactl.effects.contract.Effect`
 STRICT = ConfigDict(frozen=True, extra="forbid")
 
 
 class ParameterDefinition(BaseModel):
-    """One number of an effect: units as in run files, and the range in which it is met."""
+    """One number of an effect: its units as in run files, and the range in which it occurs."""
 
     model_config = STRICT
     units: str
     low: float
     high: float
     meaning: str
-    default: float | None = None  # of a shape that may be left out
+    default: float | None = None  # value of a shape parameter that may be left out
 
 
 DIMENSIONLESS = ("1", "rad", "share of the limit")
@@ -51,7 +51,7 @@ class Size(BaseModel):
 
 
 Rig = Literal["bench", "joint", "servo"]
-"""Two actuators on a torque sensor's shaft, one joint that logs its own drive, and one behind a position servo."""
+"""Two actuators on a torque sensor's shaft, a joint that logs its own drive, and a joint behind a position servo."""
 
 
 class EffectDefinition(BaseModel):
@@ -77,6 +77,7 @@ class EffectDefinition(BaseModel):
 
     @model_validator(mode="after")
     def _states_size_worth_knowing(self) -> "EffectDefinition":
+        """Raise ValueError if neither `faint` nor the first parameter's range gives a size for every machine."""
         name, first = next(iter(self.parameters.items()))
         if self.faint is None and not (first.units in MACHINE_INDEPENDENT and first.low > 0.0):
             raise ValueError(
@@ -94,55 +95,55 @@ class EffectDefinition(BaseModel):
 
     @property
     def largest(self) -> float:
-        """The largest size that is met, in the unit of the first parameter; infinite where that has a dimension."""
+        """The largest size that occurs, in the unit of the first parameter; infinite if that unit has a dimension."""
         first = next(iter(self.parameters.values()))
         return first.high if first.units in DIMENSIONLESS else math.inf
 
 
 @cache
 def effect_names() -> tuple[str, ...]:
-    """Identifiers of all effects, sorted."""
+    """Return the identifiers of all effects, sorted."""
     return tuple(sorted({*shipped_effects(), *modules_of_others()}))
 
 
 @cache
 def shipped_effects() -> tuple[str, ...]:
-    """Identifiers of the effects that leactl brings, sorted."""
+    """Return the identifiers of the effects that leactl brings, sorted."""
     folder = resources.files("leactl.vocabulary") / "effects"
     return tuple(sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml")))
 
 
 @cache
 def modules_of_others() -> dict[str, str]:
-    """Modules of effects that other packages bring, by identifier; none takes the place of a shipped one."""
+    """Return the modules of effects that other packages bring, by identifier; none replaces a shipped effect."""
     return {point.name: point.module for point in entry_points(group=GROUP) if point.name not in shipped_effects()}
 
 
 def definition_file(name: str) -> Traversable:
-    """The file `NAME.yaml` that defines an effect; it lies beside the module of an effect of another package."""
+    """Return the file `NAME.yaml` that defines an effect, beside its module if another package brings it."""
     module = modules_of_others().get(name)
     folder = resources.files("leactl.vocabulary") / "effects" if module is None else resources.files(package_of(module))
     return folder / f"{name}.yaml"
 
 
 def package_of(module: str) -> str:
-    """The package that a module lies in; the module itself where it lies in none."""
+    """Return the package that a module lies in; the module itself if it lies in none."""
     return module.rpartition(".")[0] or module
 
 
 @cache
 def effects_on(rig: Rig) -> tuple[str, ...]:
-    """Identifiers of the effects that a kind of rig can show, sorted."""
+    """Return the identifiers of the effects that a kind of rig can show, sorted."""
     return tuple(name for name in effect_names() if rig in effect_definition(name).shown_on)
 
 
 @cache
 def effect_definition(name: str) -> EffectDefinition:
-    """The definition of one effect.
+    """Return the definition of one effect.
 
     Raises
     ------
-    InputError : no such effect; the known ones are named. Or its file is missing, or has a fault.
+    InputError : the effect is not known, its file is missing, or the file has a fault.
     """
     if name not in effect_names():
         raise InputError(f"effect '{name}' is not known; known: {', '.join(effect_names())}")

@@ -10,7 +10,7 @@ from leactl.vocabulary.effect import STRICT
 
 
 class FaultDefinition(BaseModel):
-    """What a fault of a set-up is, and what shows it by hand."""
+    """Definition of a fault of a set-up: its meaning, and what shows it by hand."""
 
     model_config = STRICT
     fault: str
@@ -20,10 +20,10 @@ class FaultDefinition(BaseModel):
 
 @cache
 def setup_faults() -> dict[str, FaultDefinition]:
-    """Every fault of a set-up by its identifier, sorted."""
+    """Return the definitions of all faults of a set-up by identifier, sorted."""
     folder = resources.files("leactl.vocabulary") / "setup_faults"
     texts = {
         entry.name: entry.read_text(encoding="utf-8") for entry in folder.iterdir() if entry.name.endswith(".yaml")
     }
     definitions = [yamlfile.parse(texts[name], name).validate(FaultDefinition) for name in sorted(texts)]
-    return {one.fault: one for one in definitions}
+    return {definition.fault: definition for definition in definitions}

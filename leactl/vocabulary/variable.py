@@ -1,4 +1,4 @@
-"""Variables that effects act in: what a residual is drawn over, and the quantity that a region of it is given in."""
+"""Variables that effects act in; residuals are drawn over them, and regions of a gap are given in them."""
 
 from typing import Literal, NamedTuple, get_args
 
@@ -20,11 +20,11 @@ Variable = Literal[
 
 
 class VariableLabel(NamedTuple):
-    """How a variable is shown."""
+    """Label, units and quantity by which a variable is shown."""
 
     label: str
     units: str
-    quantity: str | None  # by which a region of a gap is given; None where no name of a region says it
+    quantity: str | None  # quantity that names a region of a gap; None if regions are not given in this variable
 
 
 VARIABLES: dict[str, VariableLabel] = {
