@@ -9,11 +9,11 @@ import numpy as np
 from leactl.joints.machine import Generator, JointMachine, package_yaml
 
 STRENGTHS = ("faint", "plain", "strong")
-SIZE_SPREAD = 0.15  # largest relative departure of a size from that of its strength
+SIZE_SPREAD = 0.15  # largest relative departure of a size from the usual size of its strength
 SLOWEST_LEVEL = 0.03  # slowest held level, as a share of the highest speed
 SWING_RATE_SHARES = (0.01, 0.04)  # natural frequency of an elastic load, as a share of the sampling rate
 NO_LOAD_SPEED_RATIOS = (1.1, 1.4)  # no-load speed of a drive at the end of its voltage, over the highest speed
-LOAD_SHARES = (0.3, 0.8)  # inertia of a load behind a gear, as a share of the whole
+LOAD_SHARES = (0.3, 0.8)  # inertia of a load behind a gear, as a share of the whole inertia
 SAMPLES_A_PERIOD = 4.0  # samples that a periodic effect needs in a period at the slowest level
 
 
@@ -47,12 +47,12 @@ def showable_effects(machine: JointMachine) -> list[str]:
 
 
 def indistinguishable_effects(name: str) -> list[str]:
-    """Return the names of the effects that no record of a free joint without a voltage can tell from this one."""
+    """Return the names of the effects that no record of a free joint without a voltage can tell from an effect."""
     return list(listed_rules()[name].get("alike", [])) if name in listed_rules() else []
 
 
 def excluded_effects(name: str) -> list[str]:
-    """Return the names of the effects that are not drawn with this one: they exclude each other or are equivalent."""
+    """Return the names of the effects that are not drawn with an effect, since they exclude it or are like it."""
     return [*indistinguishable_effects(name), *listed_rules()[name].get("not_beside", [])]
 
 
@@ -71,8 +71,8 @@ def draw_secondary_parameters(draw: Generator, machine: JointMachine, name: str)
     phase = {"phase": float(draw.uniform(-np.pi, np.pi))}
     slowest_speed = SLOWEST_LEVEL * machine.speed
     if name in ("cogging", "torque_ripple"):
-        highest = 2.0 * np.pi * machine.rate / SAMPLES_A_PERIOD / slowest_speed
-        orders = [order for order in (1, 2, 6) if order * machine.pole_pairs <= highest] or [1]
+        highest_order = 2.0 * np.pi * machine.rate / SAMPLES_A_PERIOD / slowest_speed
+        orders = [order for order in (1, 2, 6) if order * machine.pole_pairs <= highest_order] or [1]
         return {"order": float(draw.choice(orders) * machine.pole_pairs), **phase}
     if name == "position_dependent_friction":
         return {"order": float(draw.choice([1, 2, 3, 6, 8, 12])), **phase}
@@ -89,9 +89,9 @@ def draw_secondary_parameters(draw: Generator, machine: JointMachine, name: str)
     if name == "rubbing_bursts":
         return {"period": machine.seconds * float(draw.uniform(0.03, 0.12)), **phase}
     if name == "joint_elasticity":
-        lowest, highest = (share * machine.rate for share in SWING_RATE_SHARES)
+        lowest, highest_order = (share * machine.rate for share in SWING_RATE_SHARES)
         return {
-            "frequency": float(np.exp(draw.uniform(np.log(lowest), np.log(highest)))),
+            "frequency": float(np.exp(draw.uniform(np.log(lowest), np.log(highest_order)))),
             "damping_ratio": float(draw.uniform(0.02, 0.1)),
         }
     if name == "gear_backlash":

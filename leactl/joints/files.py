@@ -12,8 +12,8 @@ from leactl.joints.run import Array, JointRun, JointSignals
 from leactl.quantities import ChannelSpec
 from leactl.runfile.write.writer import RunInfo, RunWriter
 
-CREATION_TIME = "2026-01-01T00:00:00Z"  # a constant: a seed gives the same files, and no date tells a batch
-QUANTITIES = {
+CREATION_TIME = "2026-01-01T00:00:00Z"  # constant, so that a seed gives the same files and no date reveals a batch
+QUANTITIES = {  # quantity and sampling of each channel
     "current_reference": ("q_axis_current_reference", "instant"),
     "current": ("q_axis_current", "mean"),
     "velocity_reference": ("velocity_reference", "instant"),
@@ -23,7 +23,7 @@ QUANTITIES = {
 
 
 def write_run(folder: Path, case: str, run: JointRun, signals: JointSignals) -> None:
-    """Write a run with the channels that the machine logs, with noise and rounding."""
+    """Write the run file of a run with the channels that the machine logs, with noise and rounding."""
     machine = run.specimen.machine
     columns = {name: values for name, values in logged_columns(run, signals).items() if name in machine.channels}
     specs = [
@@ -50,20 +50,20 @@ def write_run(folder: Path, case: str, run: JointRun, signals: JointSignals) -> 
         created=CREATION_TIME,
         sources={"model": nominal_text(machine)},
     )
-    count = len(signals.angle)
+    sample_count = len(signals.angle)
     with RunWriter(folder, info, {"loop": specs}) as writer:
-        writer.append("loop", np.arange(1, count + 1) / machine.rate, np.column_stack(list(columns.values())))
+        writer.append("loop", np.arange(1, sample_count + 1) / machine.rate, np.column_stack(list(columns.values())))
     writer.path.rename(folder / f"{run.name}.h5")
 
 
 def logged_columns(run: JointRun, signals: JointSignals) -> dict[str, Array]:
     """Return the channels that a log may have, by name, with noise and rounding."""
     machine, draw = run.specimen.machine, np.random.default_rng([run.seed, 2])
-    count, reference = len(signals.angle), signals.reference
+    sample_count, reference = len(signals.angle), signals.reference
     columns = {
         "current_reference": reference if run.log.reference_before else np.append(reference[1:], reference[-1]),
-        "current": signals.current + machine.current_noise * draw.standard_normal(count),
-        "velocity": signals.velocity + machine.velocity_noise * draw.standard_normal(count),
+        "current": signals.current + machine.current_noise * draw.standard_normal(sample_count),
+        "velocity": signals.velocity + machine.velocity_noise * draw.standard_normal(sample_count),
         "angle": np.rint(signals.angle / machine.count) * machine.count,
     }
     if run.program.velocity is not None:

@@ -24,27 +24,27 @@ class JointMachine:
     """Nominal parameters of a machine, and how its runs are made and logged."""
 
     kind: str
-    rate: float  # Hz
-    seconds: float  # duration of a run
+    rate: float  # Hz, sampling rate
+    seconds: float  # s, duration of a run
     torque_constant: float  # N*m/A
     rotor_inertia: float  # kg*m^2
     viscous_damping: float  # N*m*s/rad
     coulomb_friction: float  # N*m
-    current: float  # A, highest
-    speed: float  # rad/s, highest
+    current: float  # A, highest current
+    speed: float  # rad/s, highest speed
     pole_pairs: int
     loop: float  # Hz, bandwidth of the current loop
-    filter: float  # Hz, bandwidth of the velocity's filter
+    filter: float  # Hz, bandwidth of the velocity filter
     count: float  # rad, resolution of the encoder
-    current_noise: float  # A
-    velocity_noise: float  # rad/s
+    current_noise: float  # A, standard deviation
+    velocity_noise: float  # rad/s, standard deviation
     protocols: tuple[str, ...]
     channels: tuple[str, ...]
     sampling: bool  # whether the log states what its stamps mean
 
     @property
     def friction(self) -> float:
-        """Total friction torque at the highest speed [N*m]."""
+        """Coulomb and viscous friction torque at the highest speed [N*m]."""
         return self.coulomb_friction + self.viscous_damping * self.speed
 
     def scale(self, name: str) -> float:
@@ -68,10 +68,10 @@ class Specimen:
     """True parameters of one specimen of a machine."""
 
     machine: JointMachine
-    torque_constant: float
-    rotor_inertia: float
-    viscous_damping: float
-    coulomb_friction: float
+    torque_constant: float  # N*m/A
+    rotor_inertia: float  # kg*m^2
+    viscous_damping: float  # N*m*s/rad
+    coulomb_friction: float  # N*m
 
     def true_base(self) -> dict[str, float]:
         """Return the true parameters under the names of a model file."""
@@ -111,7 +111,7 @@ def draw_machine(draw: Generator, kind: str) -> JointMachine:
 
 
 def draw_specimen(draw: Generator, machine: JointMachine) -> Specimen:
-    """Draw the true parameters of one machine."""
+    """Draw the true parameters of one specimen of a machine."""
     factors = {name: 1.0 + spread * float(draw.uniform(-1.0, 1.0)) for name, spread in SPREADS.items()}
     return Specimen(machine, **{name: getattr(machine, name) * factor for name, factor in factors.items()})
 

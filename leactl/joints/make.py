@@ -31,8 +31,8 @@ SIMULATORS: dict[str, Callable[[Sequence[JointRun]], list[JointSignals]]] = {
     "stepped": stepped.simulate,
     "mujoco": by_mujoco.simulate,
 }
-CASES_PER_BATCH = 20  # their signals take about 100 MB
-REPEAT_LABELS = ("a", "b")
+CASES_PER_BATCH = 20  # cases that are simulated at once; their signals take about 100 MB
+REPEAT_LABELS = ("a", "b")  # each protocol runs twice, so that one run can be held out
 
 
 def make(
@@ -45,7 +45,7 @@ def make(
     wanted: Sequence[str] = KINDS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> str:
-    """Make cases in `out`, each in its own folder, and their key in `key_dir`; returns the key's hash.
+    """Make cases in `out`, each in its own folder, and their key in `key_dir`; return the key's hash.
 
     Parameters
     ----------
@@ -70,17 +70,23 @@ def make(
     draw = np.random.default_rng([seed_number, 0])
     drawn_machines = draw_machines(draw, machines)
     plans = plan(draw, count, drawn_machines, wanted)
-    digits, entries = max(3, len(str(count))), dict[str, Any]()
+    digit_count, entries = max(3, len(str(count))), dict[str, Any]()
     out.mkdir(parents=True, exist_ok=True)
-    began = time.monotonic()
+    start_time = time.monotonic()
     for start in range(0, count, CASES_PER_BATCH):
-        time_left = f", about {(time.monotonic() - began) / start * (count - start) / 60:.1f} min left" if start else ""
+        time_left = (
+            f", about {(time.monotonic() - start_time) / start * (count - start) / 60:.1f} min left" if start else ""
+        )
         progress(f"{start} of {count} cases made{time_left}")
         batch: list[tuple[str, JointRun]] = []
-        for k in range(start, min(start + CASES_PER_BATCH, count)):
-            name, machine_index, (kind, effects, strength) = f"case-{k + 1:0{digits}d}", k % machines, plans[k]
+        for case_index in range(start, min(start + CASES_PER_BATCH, count)):
+            name, machine_index, (kind, effects, strength) = (
+                f"case-{case_index + 1:0{digit_count}d}",
+                case_index % machines,
+                plans[case_index],
+            )
             runs = draw_runs(
-                np.random.default_rng([seed_number, 1, k]), drawn_machines[machine_index], effects, strength
+                np.random.default_rng([seed_number, 1, case_index]), drawn_machines[machine_index], effects, strength
             )
             batch += [(name, run) for run in runs]
             machine_label = f"{drawn_machines[machine_index].kind} {machine_index + 1}"
@@ -104,10 +110,10 @@ def plan(
     draw: Generator, count: int, machines: Sequence[JointMachine], wanted: Sequence[str]
 ) -> list[tuple[str, tuple[str, ...], str]]:
     """Draw kind, effects and strength of each case; a machine gets only effects that its channels can show."""
-    drawn = [kind for kind, number in counts(count, wanted).items() for _ in range(number)]
+    drawn_kinds = [kind for kind, number in counts(count, wanted).items() for _ in range(number)]
     listed_names, unlisted_names = in_turn(draw, tuple(listed_rules())), in_turn(draw, tuple(unlisted_rules()))
     plans: list[tuple[str, tuple[str, ...], str]] = []
-    for index, kind in enumerate(draw.permutation(drawn).tolist()):
+    for index, kind in enumerate(draw.permutation(drawn_kinds).tolist()):
         names: tuple[str, ...] = ()
         if kind == "unknown":
             names = (next(unlisted_names),)
