@@ -11,8 +11,8 @@ from leactl.exchange.robot_patch import Patch
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 
-LINE_WIDTH = 110  # characters, of the file of callbacks
-PARAMETERS_LINE = "PARAMETERS: dict[str, Any] = {}\n"  # of `mujoco_effects`, which the parameters of a joint replace
+LINE_WIDTH = 110  # characters of a line in the file of callbacks
+PARAMETERS_LINE = "PARAMETERS: dict[str, Any] = {}\n"  # line of `mujoco_effects` that gets a joint's parameters
 
 
 def callbacks(model: Model, patched: Patch, source: Path, into: Path, out: Path) -> str:
@@ -20,57 +20,57 @@ def callbacks(model: Model, patched: Patch, source: Path, into: Path, out: Path)
 
     Parameters
     ----------
-    source, into, out : names of the model file, of the user's file and of the patched one, for the heading.
+    source, into, out : the model file, the user's file and the patched file, whose names the heading gives.
     """
     text = (resources.files("leactl.exchange") / "mujoco_effects.py").read_text(encoding="utf-8")
     body = text.split('"""\n', 1)[1]
-    figures = f"PARAMETERS: dict[str, Any] = {_literal(parameters(model, patched))}\n"
-    return _heading(patched, source, into, out) + body.replace(PARAMETERS_LINE, figures, 1)
+    parameters_line = f"PARAMETERS: dict[str, Any] = {_literal(parameters(model, patched))}\n"
+    return _heading(patched, source, into, out) + body.replace(PARAMETERS_LINE, parameters_line, 1)
 
 
 def _literal(value: Any, indent: str = "") -> str:
-    """Return a mapping or list as Python text, with one entry a line where it does not fit on one line."""
-    inner = indent + "    "
+    """Return a value as Python text; a mapping or list that does not fit on one line gets one line per entry."""
+    inner_indent = indent + "    "
     if not isinstance(value, dict | list) or len(indent) + len(repr(value)) < LINE_WIDTH - 10:
         return repr(value)
     if isinstance(value, list):
-        lines = [f"{inner}{_literal(part, inner)},\n" for part in value]
+        lines = [f"{inner_indent}{_literal(item, inner_indent)},\n" for item in value]
         return f"[\n{''.join(lines)}{indent}]"
-    lines = [f"{inner}{key!r}: {_literal(part, inner)},\n" for key, part in value.items()]
+    lines = [f"{inner_indent}{key!r}: {_literal(item, inner_indent)},\n" for key, item in value.items()]
     return f"{{\n{''.join(lines)}{indent}}}"
 
 
 def parameters(model: Model, patched: Patch) -> dict[str, Any]:
     """Return the figures of one joint that its callbacks need."""
-    acting = [destination.entry for destination in patched.effects if destination.goes_to == CALLBACKS]
+    entries = [destination.entry for destination in patched.effects if destination.goes_to == CALLBACKS]
     expected, joint = patched.expected, patched.joint
     return {
         "joint": joint.name,
         "coulomb_friction": expected.get("frictionloss", joint.friction),
         "viscous_damping": model.viscous_damping or 0.0,
         "gear_ratio": model.gear_ratio,
-        "drive": _drive(model, patched, [entry.effect for entry in acting]),
-        "effects": [{"effect": entry.effect, "parameters": dict(entry.parameters)} for entry in acting],
+        "drive": _drive(model, patched, [entry.effect for entry in entries]),
+        "effects": [{"effect": entry.effect, "parameters": dict(entry.parameters)} for entry in entries],
     }
 
 
-def _drive(model: Model, patched: Patch, acting: list[str]) -> dict[str, Any] | None:
+def _drive(model: Model, patched: Patch, effect_names: list[str]) -> dict[str, Any] | None:
     """Return the figures of the actuator's law; None if MuJoCo keeps simulating the actuator."""
     actuator, loop = patched.joint.actuator, model.bench.current_loop_bandwidth or 0.0
     if actuator is None or patched.law is None:
         return None
-    changes = any(ACTS_ON[effect] != "joint" for effect in acting)
-    if patched.law == CURRENT and (changes or loop):
+    has_drive_effect = any(ACTS_ON[effect] != "joint" for effect in effect_names)
+    if patched.law == CURRENT and (has_drive_effect or loop):
         constant, gain = model.torque_constant or 1.0, patched.expected.get("gain", actuator.gain)
         return {
             "gear": actuator.gear * gain / actuator.gain,
             "per_ctrl": gain / constant,
             "torque_constant": constant,
             "loop_bandwidth": loop,
-            "limits_itself": "torque_limit" in acting,
+            "limits_itself": "torque_limit" in effect_names,
         }
     drive = model.drive
-    if drive is None or not (changes or drive.damping):
+    if drive is None or not (has_drive_effect or drive.damping):
         return None
     return {
         "gear": actuator.gear,

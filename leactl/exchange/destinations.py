@@ -70,11 +70,11 @@ class Destination:
 
 
 def destinations(model: Model, law: str | None) -> Iterator[Destination]:
-    """Yield for each effect of a model the file that holds it, or the reason why none does.
+    """Yield each effect of a model with the file that holds it, or with the reason why no file does.
 
     Parameters
     ----------
-    law : law of the joint's actuator: `SERVO`, `CURRENT`, or None where the callbacks cannot replace it.
+    law : law of the joint's actuator: `SERVO`, `CURRENT`, or None if the callbacks cannot replace it.
     """
     springs = [entry for entry in model.effects if entry.effect == "position_spring"]
     for entry in model.effects:
@@ -87,14 +87,14 @@ def destinations(model: Model, law: str | None) -> Iterator[Destination]:
 
 def _reason_against(effect: str, model: Model, law: str | None) -> str:
     """Return the reason why callbacks cannot hold an effect; empty if they can."""
-    where = ACTS_ON.get(effect)
-    if where is None:
+    acts_on = ACTS_ON.get(effect)
+    if acts_on is None:
         return REASON_OF_EFFECT.get(effect) or REASON_OF_FAMILY.get(effect_definition(effect).family, UNKNOWN_EQUATION)
-    if where == "joint":
+    if acts_on == "joint":
         return ""
-    if law is None or where not in ("drive", law):
-        drive = "drive" if where == "drive" else where
-        return f"it acts on a {drive}, and the joint has none that the model describes"
+    if law is None or acts_on not in ("drive", law):
+        drive_kind = "drive" if acts_on == "drive" else acts_on
+        return f"it acts on a {drive_kind}, and the joint has none that the model describes"
     if effect in EFFECTS_IN_AMPERES and model.torque_constant is None:
         return "it is in A, and the model has no torque_constant"
     return ""

@@ -22,7 +22,7 @@ class ExportRequest:
     """The arguments of `leactl model export`."""
 
     model: Path
-    to: str  # mjcf, urdf or json
+    to: str  # format: mjcf, urdf or json
     into: Path | None = None
     joint: str | None = None
     out: Path | None = None
@@ -31,7 +31,7 @@ class ExportRequest:
     ctrl_is_current: bool = False
 
     def check(self) -> None:
-        """Raise if options exclude each other, one is missing, or a file exists.
+        """Raise InputError if options exclude each other, one is missing, or an output file cannot be made.
 
         Raises
         ------
@@ -58,7 +58,7 @@ class ExportRequest:
 def refuse_unusable_outputs(
     files: Iterable[Path | None], code_file: Path | None, other_faults: Sequence[str] = ()
 ) -> None:
-    """Raise if new files cannot have these names; no file is ever overwritten.
+    """Raise InputError if new files cannot have these names; no file is ever overwritten.
 
     Parameters
     ----------
@@ -67,17 +67,18 @@ def refuse_unusable_outputs(
 
     Raises
     ------
-    InputError : a folder does not exist, a file exists, or two have one name; one line each.
+    InputError : a folder does not exist, a file exists, two files have one name, or the name of the callbacks does not
+        end in .py; one line each.
     """
-    new = [path for path in files if path is not None]
-    faults = [*other_faults, *(f"{path}: no folder {path.parent}" for path in new if not path.parent.is_dir())]
+    new_files = [path for path in files if path is not None]
+    faults = [*other_faults, *(f"{path}: no folder {path.parent}" for path in new_files if not path.parent.is_dir())]
     if code_file is not None and code_file.suffix != ".py":
         faults.append(f"--callbacks {code_file}: a file named .py was expected")
-    if len({path.resolve() for path in new}) < len(new):
-        faults.append(f"{new[0]}: is named for two outputs; give each a file of its own")
+    if len({path.resolve() for path in new_files}) < len(new_files):
+        faults.append(f"{new_files[0]}: is named for two outputs; give each a file of its own")
     if faults:
         raise InputError(faults)
-    for path in new:
+    for path in new_files:
         refuse_existing(path)
 
 
@@ -87,7 +88,7 @@ class Exported:
 
     written: tuple[Path, ...]
     patched: Patch | None
-    text: str | None  # of a table that is not written to a file
+    text: str | None  # of a table that is not written to a file; None otherwise
     lines: tuple[str, ...]  # summary of changes, effects and notes
 
     def as_json(self) -> dict[str, Any]:
@@ -105,7 +106,7 @@ def export(request: ExportRequest) -> Exported:
     """
     request.check()
     model, document = read_model(request.model)
-    plant_of(model)  # finds fault with effects that lack a parameter
+    plant_of(model)  # raises InputError for effects that lack a parameter
     joint = request.joint or model.name
     if request.to == "json":
         text = json.dumps(actuator_table(model, joint, request.timestep), indent=2)
@@ -116,8 +117,10 @@ def export(request: ExportRequest) -> Exported:
         return Exported((request.out,), None, None, ())
     assert request.into is not None and request.out is not None
     patched = patch(model, request.into, joint, request.to, request.ctrl_is_current)
-    code = callbacks(model, patched, Path(document.name), request.into, request.out) if request.callbacks else ""
-    write_all(patched, request.out, {} if request.callbacks is None else {request.callbacks: code})
+    callbacks_text = (
+        callbacks(model, patched, Path(document.name), request.into, request.out) if request.callbacks else ""
+    )
+    write_all(patched, request.out, {} if request.callbacks is None else {request.callbacks: callbacks_text})
     written = tuple(path for path in (request.out, request.callbacks) if path is not None)
     return Exported(written, patched, None, tuple(_summary_lines(patched, request.callbacks)))
 
@@ -135,18 +138,18 @@ def write_all(patched: Patch, out: Path, companion_texts: Mapping[Path, str]) ->
         write_patch(patched, out)
 
 
-def _summary_lines(patched: Patch, code: Path | None) -> list[str]:
+def _summary_lines(patched: Patch, callbacks_file: Path | None) -> list[str]:
     """Return a line for each change, each effect and each note."""
     lines = []
     for change in patched.changes:
-        after = "removed" if change.after is None else f"{change.before or 'not given'} -> {change.after}"
-        lines.append(f"line {change.line}: {change.element}: {change.attribute} {after}")
+        after_text = "removed" if change.after is None else f"{change.before or 'not given'} -> {change.after}"
+        lines.append(f"line {change.line}: {change.element}: {change.attribute} {after_text}")
     for destination in patched.effects:
         reason = f": {destination.reason}" if destination.reason else ""
-        if destination.goes_to == CALLBACKS and code is None:
+        if destination.goes_to == CALLBACKS and callbacks_file is None:
             reason = ": give --callbacks FILE.py, MJCF cannot hold it"
-        where = {CALLBACKS: "in the callbacks" if code else "left out", NOWHERE: "left out"}.get(
+        place_text = {CALLBACKS: "in the callbacks" if callbacks_file else "left out", NOWHERE: "left out"}.get(
             destination.goes_to, "in the file"
         )
-        lines.append(f"{destination.entry.effect}: {where}{reason}")
+        lines.append(f"{destination.entry.effect}: {place_text}{reason}")
     return [*lines, *(f"note: {note}" for note in patched.notes)]

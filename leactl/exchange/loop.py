@@ -29,9 +29,9 @@ class PlayedRun:
     """RMS error of the angle [rad] of one held-out run that was simulated in MuJoCo, for each version of the model."""
 
     run: str
-    before: float  # by the file as it was
-    file: float  # by the patched file alone
-    after: float  # by the patched file with its callbacks
+    before: float  # with the user's file
+    file: float  # with the patched file alone
+    after: float  # with the patched file and its callbacks
 
 
 @dataclass(frozen=True)
@@ -46,24 +46,24 @@ class ClosedLoop:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Return the effects of the augmented model in the order of the diagnosis."""
-        has = {entry.effect for entry in self.answer.extra["augmented"].effects}
-        return tuple(cause.effect for cause in self.answer.causes if cause.effect in has)
+        """Effects of the augmented model in the order of the diagnosis."""
+        applied_effects = {entry.effect for entry in self.answer.extra["augmented"].effects}
+        return tuple(cause.effect for cause in self.answer.causes if cause.effect in applied_effects)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return the notes on the diagnosis and on the patch."""
+        """Notes on the diagnosis and on the patch."""
         return (*self.answer.notes, *self.patched.notes)
 
     @property
     def total(self) -> PlayedRun:
-        """Return the RMS over all runs, each with the same weight."""
-        table = np.array([(run.before, run.file, run.after) for run in self.runs])
-        return PlayedRun("all", *np.sqrt(np.mean(table**2, axis=0)).tolist())
+        """RMS of the errors of all runs, each with the same weight."""
+        errors = np.array([(run.before, run.file, run.after) for run in self.runs])
+        return PlayedRun("all", *np.sqrt(np.mean(errors**2, axis=0)).tolist())
 
     @property
     def closed(self) -> float:
-        """Return the share of the gap that the patched file with its callbacks closes."""
+        """Share of the gap that the patched file with its callbacks closes."""
         total = self.total
         return 1.0 - total.after / total.before if total.before > 0.0 else 0.0
 
@@ -85,6 +85,7 @@ class ClosedLoop:
 
 
 def _figures(run: PlayedRun) -> dict[str, Any]:
+    """Return the errors of a run as JSON values."""
     return {"run": run.run, "before_rad": run.before, "file_rad": run.file, "after_rad": run.after}
 
 
@@ -97,7 +98,7 @@ class LoopFiles:
     held_out: Sequence[Path]
     out: Path  # the patched robot
     callbacks: Path
-    augmented: Path | None = None  # the augmented model
+    augmented: Path | None = None  # file of the augmented model, if it is wanted
 
 
 def close_loop(
@@ -124,26 +125,26 @@ def close_loop(
         nominal.write_text(imported.text, encoding="utf-8")
         case = read_case(files.runs, files.held_out, nominal)
     check_playable([*case.fitted, *case.held_out])
-    trial = files.out.with_name(f".{files.out.name}.trial.xml")
-    try:  # a model that does not fit is refused before minutes are spent
-        write_patch(patch(imported.model, files.robot, joint, "mjcf"), trial)
+    trial_file = files.out.with_name(f".{files.out.name}.trial.xml")
+    try:  # a model that does not fit is refused before the minutes of a diagnosis
+        write_patch(patch(imported.model, files.robot, joint, "mjcf"), trial_file)
     finally:
-        trial.unlink(missing_ok=True)
+        trial_file.unlink(missing_ok=True)
     progress("playing the runs in MuJoCo")
-    before = rms_of_error(case.held_out, play(files.robot, joint, case.held_out))
+    errors_before = rms_of_error(case.held_out, play(files.robot, joint, case.held_out))
     answer = diagnose(case, progress)
     model = answer.extra["augmented"]
     patched = patch(model, files.robot, joint, "mjcf")
-    source = Path("the augmented model") if files.augmented is None else files.augmented
-    companion_texts = {files.callbacks: callbacks(model, patched, source, files.robot, files.out)}
+    model_source = Path("the augmented model") if files.augmented is None else files.augmented
+    companion_texts = {files.callbacks: callbacks(model, patched, model_source, files.robot, files.out)}
     if files.augmented is not None:
         companion_texts[files.augmented] = yaml.safe_dump(as_mapping(model), sort_keys=False)
     write_all(patched, files.out, companion_texts)
     progress("playing them again")
-    patched_only = rms_of_error(case.held_out, play(files.out, joint, case.held_out))
-    after = rms_of_error(case.held_out, play(files.out, joint, case.held_out, _install_of(files.callbacks)))
+    errors_of_file = rms_of_error(case.held_out, play(files.out, joint, case.held_out))
+    errors_after = rms_of_error(case.held_out, play(files.out, joint, case.held_out, _install_of(files.callbacks)))
     names = [record.path.name for record in case.held_out]
-    runs = tuple(PlayedRun(*row) for row in zip(names, before, patched_only, after, strict=True))
+    runs = tuple(PlayedRun(*row) for row in zip(names, errors_before, errors_of_file, errors_after, strict=True))
     written = tuple(path for path in (files.out, files.callbacks, files.augmented) if path is not None)
     return ClosedLoop(joint, answer, patched, runs, written)
 

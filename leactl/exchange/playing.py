@@ -14,12 +14,12 @@ from leactl.gap.servo.runs import starting_speed
 from leactl.gap.signals.record import Clocked, Record
 
 Array = npt.NDArray[np.float64]
-HELD_INERTIA_FACTOR = 1e6  # on the armature of other joints, which then stay in place
+HELD_INERTIA_FACTOR = 1e6  # armature of other joints, which holds them, over the joint's inertia or 1 kg*m^2
 ANGLE_REFERENCE, ANGLE = ("angle_reference", "test"), ("angle", "test")
 
 
 def check_playable(records: Sequence[Record]) -> None:
-    """Raise if runs cannot be simulated with a position actuator.
+    """Raise InputError if runs cannot be simulated with a position actuator.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def play(
 
     Raises
     ------
-    InputError : the file cannot be compiled, or the motion grew beyond all bounds.
+    InputError : the file cannot be compiled, no position actuator drives the joint, or a motion grows without bounds.
     """
     mujoco = import_mujoco()
     compiled = compile_file(robot)
@@ -71,8 +71,8 @@ def play(
                 measured = record.fast.values[ANGLE]
                 state.qpos[position] = measured[0]
                 state.qvel[dof] = starting_speed(measured, record.fast.interval)
-                asked = actuator.gear * record.fast.values[ANGLE_REFERENCE]
-                played.append(_angles(mujoco, model, state, (position, control), record.fast, asked))
+                control_values = actuator.gear * record.fast.values[ANGLE_REFERENCE]
+                played.append(_angles(mujoco, model, state, (position, control), record.fast, control_values))
                 if not np.all(np.isfinite(played[-1])):
                     raise InputError(f"{robot}: joint '{name}' moves beyond all bounds in {record.path.name}")
     finally:
@@ -81,26 +81,32 @@ def play(
     return tuple(played)
 
 
-def _angles(mujoco: Any, model: Any, state: Any, where: tuple[int, int], clock: Clocked, asked: Array) -> Array:
-    """Return the angle [rad] at each time stamp, interpolated between steps; NaN where the motion is unstable."""
-    position, control = where
-    stamps, out = (clock.time - clock.time[0]).tolist(), []
-    before, angle = 0.0, float(state.qpos[position])
-    last = angle
-    for stamp, value in zip(stamps, asked.tolist(), strict=True):
+def _angles(
+    mujoco: Any, model: Any, state: Any, addresses: tuple[int, int], clock: Clocked, control_values: Array
+) -> Array:
+    """Return the angle [rad] at each time stamp, interpolated between steps; all NaN if the motion is unstable.
+
+    addresses : of the joint's position in qpos, and of its actuator in ctrl.
+    """
+    position, control = addresses
+    stamps, angles = (clock.time - clock.time[0]).tolist(), []
+    time_before, angle = 0.0, float(state.qpos[position])
+    angle_before = angle
+    for stamp, value in zip(stamps, control_values.tolist(), strict=True):
         while state.time < stamp - 1e-9:
-            before, last = float(state.time), float(state.qpos[position])
+            time_before, angle_before = float(state.time), float(state.qpos[position])
             mujoco.mj_step(model, state)
-            if state.time <= before or any(warning.number for warning in _unstable(mujoco, state)):
-                return np.full(len(stamps), np.nan)  # MuJoCo begins anew where a motion has no bounds
+            if state.time <= time_before or any(warning.number for warning in _unstable(mujoco, state)):
+                return np.full(len(stamps), np.nan)  # MuJoCo resets the state of an unstable motion
         angle = float(state.qpos[position])
-        share = (stamp - before) / (state.time - before) if state.time > before else 1.0
-        out.append(last + min(share, 1.0) * (angle - last))
+        share = (stamp - time_before) / (state.time - time_before) if state.time > time_before else 1.0
+        angles.append(angle_before + min(share, 1.0) * (angle - angle_before))
         state.ctrl[control] = value
-    return np.array(out, np.float64)
+    return np.array(angles, np.float64)
 
 
 def _unstable(mujoco: Any, state: Any) -> list[Any]:
+    """Return MuJoCo's warnings of an unstable motion, with the number of times that each was raised."""
     kinds = mujoco.mjtWarning
     return [state.warning[int(kind)] for kind in (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)]
 
@@ -110,6 +116,6 @@ def rms_of_error(records: Sequence[Record], played: Sequence[Array]) -> list[flo
     errors = []
     for record, angles in zip(records, played, strict=True):
         assert record.fast is not None
-        wrong = (angles - record.fast.values[ANGLE])[record.fast.all_valid(ANGLE, ANGLE_REFERENCE)]
-        errors.append(math.sqrt(float(np.mean(wrong**2))))
+        error = (angles - record.fast.values[ANGLE])[record.fast.all_valid(ANGLE, ANGLE_REFERENCE)]
+        errors.append(math.sqrt(float(np.mean(error**2))))
     return errors

@@ -71,7 +71,7 @@ class ImportedJoint:
 
 
 def import_joint(path: Path, name: str, supply: float | None = None, ctrl_is_current: bool = False) -> ImportedJoint:
-    """Read one joint of an MJCF or URDF file as a model file.
+    """Return one joint of an MJCF or URDF file as a model file.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def import_joint(path: Path, name: str, supply: float | None = None, ctrl_is_cur
 
     Raises
     ------
-    InputError : see `read_joint`; or a supply or `ctrl_is_current` is given and the actuator does not take it.
+    InputError : as of `read_joint`; or the actuator is not of the kind that `supply` or `ctrl_is_current` goes with.
     """
     joint = read_joint(path, name)
     kind = None if joint.actuator is None else joint.actuator.kind
@@ -88,30 +88,30 @@ def import_joint(path: Path, name: str, supply: float | None = None, ctrl_is_cur
         raise InputError(f"--supply {supply:g}: no position actuator drives joint '{name}'; leave it out")
     if ctrl_is_current and kind != "torque":
         raise InputError(f"--ctrl current: no torque actuator drives joint '{name}'; leave it out")
-    writing = _ModelKeys(joint, path)
-    writing.mechanics()
-    writing.weight()
-    writing.drive(supply, ctrl_is_current)
-    missing = writing.missing | KEYS_WITHOUT_SOURCE
+    builder = _ModelKeys(joint, path)
+    builder.mechanics()
+    builder.weight()
+    builder.drive(supply, ctrl_is_current)
+    missing = builder.missing | KEYS_WITHOUT_SOURCE
     heading = [yamlfile.printable(f"# joint '{name}' of {path.name}, as MuJoCo compiles it")]
     heading += [yamlfile.printable(f"# not in that file: {key}: {reason}") for key, reason in missing.items()]
-    keys = {key: writing.keys[key] for key in Model.model_fields if key in writing.keys}
+    keys = {key: builder.keys[key] for key in Model.model_fields if key in builder.keys}
     text = "\n".join(heading) + "\n" + yaml.safe_dump(rounded(keys), sort_keys=False, allow_unicode=True)
     model = yamlfile.parse(text, yamlfile.printable(f"{path}: joint '{name}'")).validate(Model)
-    return ImportedJoint(model, text, joint, missing, tuple([*joint.notes, *writing.notes]))
+    return ImportedJoint(model, text, joint, missing, tuple([*joint.notes, *builder.notes]))
 
 
 def rounded(value: Any) -> Any:
-    """Return a value with all its numbers rounded to `DIGITS` digits."""
+    """Return a value with all its numbers rounded to `DIGITS` significant digits."""
     if isinstance(value, dict):
-        return {key: rounded(part) for key, part in value.items()}
+        return {key: rounded(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [rounded(part) for part in value]
+        return [rounded(item) for item in value]
     return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
 
 
 class _ModelKeys:
-    """A builder of the keys of a model file, one part after the other."""
+    """Builder of the keys of a model file, section by section."""
 
     def __init__(self, joint: Joint, path: Path) -> None:
         self.joint, self.file = joint, path.name
@@ -181,15 +181,17 @@ class _ModelKeys:
             self.missing["drive"] = "see torque_constant"
 
     def _no_motor(self, reason: str) -> None:
+        """Note that the motor's figures are missing, and why."""
         self.missing["torque_constant"] = reason
         self.missing["phase_resistance"] = "the winding"
         self.missing["bench.current_loop_bandwidth"] = "how fast the drive's current follows"
 
     def _force_limits(self, actuator: JointActuator) -> list[float]:
-        """Return the limits [N*m] of the actuator's force and of the joint's torque, each where the file has it."""
+        """Return the limits [N*m] of the actuator's force and of the joint's torque that the file has."""
         return [limit for limit in (actuator.force_limit, self.joint.torque_limit) if limit is not None]
 
     def _torque_limit(self, actuator: JointActuator) -> None:
+        """Add a note on the smallest limit of a torque actuator."""
         limits = self._force_limits(actuator)
         if actuator.control_range is not None:
             limits.append(abs(actuator.gain) * min(map(abs, actuator.control_range)))
@@ -202,28 +204,28 @@ class _ModelKeys:
     def _servo(self, actuator: JointActuator, supply: float | None) -> None:
         """Add a motor at a voltage whose response equals that of kp, kv and the force limit.
 
-        Its torque is K/R clip(gain error, V) - K^2/R w: K^2/R is the braking, K/R V the limit, K/R gain the stiffness.
+        Its torque is K/R clip(gain error, V) - K^2/R w, so that kv is K^2/R, the force limit K/R V, and kp K/R gain.
         """
         limits = self._force_limits(actuator)
-        braking, bearing = actuator.kv, self.joint.damping
-        if not braking and bearing:
-            braking, bearing = bearing, 0.0
+        back_emf_damping, bearing_damping = actuator.kv, self.joint.damping
+        if not back_emf_damping and bearing_damping:
+            back_emf_damping, bearing_damping = bearing_damping, 0.0
             self.notes.append(
-                f"how much of the damping of {braking:.6g} N*m*s/rad is the motor's back-EMF, no file says: all of it"
-                " counts as such"
+                f"how much of the damping of {back_emf_damping:.6g} N*m*s/rad is the motor's back-EMF, no file says:"
+                " all of it counts as such"
             )
-        reasons = []
+        lacking = []
         if supply is None:
-            reasons.append("the supply's voltage (give --supply)")
+            lacking.append("the supply's voltage (give --supply)")
         if not limits or min(limits) <= 0.0:
-            reasons.append("a limit of its force (forcerange)")
-        if not braking:
-            reasons.append("any damping (kv, or the joint's)")
-        if reasons or supply is None:
-            reason = f"a position actuator is on the joint; as a servo it lacks {', '.join(reasons)}"
+            lacking.append("a limit of its force (forcerange)")
+        if not back_emf_damping:
+            lacking.append("any damping (kv, or the joint's)")
+        if lacking or supply is None:
+            reason = f"a position actuator is on the joint; as a servo it lacks {', '.join(lacking)}"
             self.missing |= {"drive": reason, "torque_constant": "see drive", "phase_resistance": "see drive"}
             return
-        constant = braking * supply / min(limits)
+        constant = back_emf_damping * supply / min(limits)
         gain = actuator.kp * supply / min(limits)
         self.keys |= {
             "torque_constant": constant,
@@ -232,8 +234,8 @@ class _ModelKeys:
             "drive": {"type": "position_servo", "gain": gain, "voltage_limit": supply},
         }
         self.keys.pop("viscous_damping", None)
-        if bearing:
-            self.keys["viscous_damping"] = bearing
+        if bearing_damping:
+            self.keys["viscous_damping"] = bearing_damping
         else:
             self.missing["viscous_damping"] = "apart from what brakes as back-EMF"
         if actuator.kv:

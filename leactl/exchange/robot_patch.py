@@ -1,4 +1,4 @@
-"""An augmented model as a patch of the user's MJCF or URDF file."""
+"""Make a patch of the user's MJCF or URDF file from an augmented model."""
 
 import math
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ class Change:
     element: str  # as `joint 'knee'`
     line: int
     attribute: str
-    before: str | None  # None where the file did not have it
+    before: str | None  # None if the file did not have it
     after: str | None  # None if it is removed
 
 
@@ -36,7 +36,7 @@ class Patch:
 
     text: bytes
     joint: Joint  # as the user's file had it
-    law: str | None  # of the joint's actuator, if callbacks can replace it
+    law: str | None  # law by which callbacks can replace the joint's actuator; None if they cannot
     expected: dict[str, float]  # figures that MuJoCo has to read from the new file, by attribute
     changes: list[Change] = field(default_factory=list)
     effects: list[Destination] = field(default_factory=list)
@@ -64,8 +64,8 @@ def patch(model: Model, into: Path, name: str, format: str, ctrl_is_current: boo
 
     Raises
     ------
-    InputError : see `read_joint`; or the file is of the other format, the joint is in an included file, or its actuator
-        is not the model's drive.
+    InputError : as of `read_joint`; or the file is of the other format, the joint is in an included file, or its
+        actuator is not the model's drive.
     """
     compiled = compile_file(into)
     text = compiled.text
@@ -97,8 +97,8 @@ class ServoFigures:
 
     stiffness: float  # N*m/rad
     braking: float  # N*m*s/rad, by the back-EMF
-    limit: float  # N*m, at standstill
-    top_speed: float  # rad/s, at which the back-EMF takes all of its voltage
+    limit: float  # N*m, torque limit at standstill
+    top_speed: float  # rad/s, speed at which the back-EMF equals the voltage limit
 
 
 def servo_figures(model: Model) -> ServoFigures | None:
@@ -106,15 +106,18 @@ def servo_figures(model: Model) -> ServoFigures | None:
     constant, resistance, drive = model.torque_constant, model.phase_resistance, model.drive
     if drive is None or constant is None or resistance is None:
         return None
-    emf = model.back_emf_constant or constant
-    per_volt = constant / resistance
+    emf_constant = model.back_emf_constant or constant
+    torque_per_volt = constant / resistance
     return ServoFigures(
-        per_volt * drive.gain, per_volt * emf, per_volt * drive.voltage_limit, drive.voltage_limit / emf
+        torque_per_volt * drive.gain,
+        torque_per_volt * emf_constant,
+        torque_per_volt * drive.voltage_limit,
+        drive.voltage_limit / emf_constant,
     )
 
 
 class _JointPatch:
-    """A builder of the changes to one joint of a file."""
+    """Builder of the changes to one joint of a file."""
 
     def __init__(self, model: Model, text: XmlText, joint: Joint) -> None:
         self.model, self.text, self.joint = model, text, joint
@@ -156,27 +159,27 @@ class _JointPatch:
         """Compute the joint's figures from the model's mechanics."""
         model, joint = self.model, self.joint
         if model.rotor_inertia is not None:
-            bodies = joint.inertia - joint.armature
-            armature = model.rotor_inertia + model.load.inertia - bodies
-            if armature < -WRITTEN_TOLERANCE * bodies:
+            body_inertia = joint.inertia - joint.armature
+            armature = model.rotor_inertia + model.load.inertia - body_inertia
+            if armature < -WRITTEN_TOLERANCE * body_inertia:
                 self.notes.append(
-                    f"the bodies alone have an inertia of {bodies:.6g} kg*m^2 about the joint, the model has"
-                    f" {bodies + armature:.6g} in all: armature is 0, and {-armature:.6g} too much is left"
+                    f"the bodies alone have an inertia of {body_inertia:.6g} kg*m^2 about the joint, the model has"
+                    f" {body_inertia + armature:.6g} in all: armature is 0, and {-armature:.6g} too much is left"
                 )
-            self.figures["armature"] = max(armature, 0.0) if abs(armature) > WRITTEN_TOLERANCE * bodies else 0.0
+            self.figures["armature"] = max(armature, 0.0) if abs(armature) > WRITTEN_TOLERANCE * body_inertia else 0.0
         if model.viscous_damping is not None or self.servo is not None:
-            added = joint.damping - joint.attribute_damping  # by the actuator's own attribute
-            braking = self.servo.braking if self.servo is not None else 0.0
-            self.figures["damping"] = max((model.viscous_damping or 0.0) + braking - added, 0.0)
+            actuator_damping = joint.damping - joint.attribute_damping  # by the actuator's own attribute
+            back_emf_damping = self.servo.braking if self.servo is not None else 0.0
+            self.figures["damping"] = max((model.viscous_damping or 0.0) + back_emf_damping - actuator_damping, 0.0)
         if model.coulomb_friction is not None:
             self.figures["frictionloss"] = model.coulomb_friction
         for spring in (destination.entry.parameters for destination in self.effects if destination.goes_to == MJCF):
             self.figures |= {"stiffness": spring["stiffness"], "springref": spring["rest_angle"]}
-        level = model.load.level_torque
-        if not joint.slides and abs(level - joint.level_torque) > 1e-3 * max(level, joint.level_torque):
+        level_torque = model.load.level_torque
+        if not joint.slides and abs(level_torque - joint.level_torque) > 1e-3 * max(level_torque, joint.level_torque):
             self.notes.append(
-                f"held out level the bodies weigh {joint.level_torque:.6g} N*m, the model's load {level:.6g} N*m; the"
-                " bodies stay as they are"
+                f"held out level the bodies weigh {joint.level_torque:.6g} N*m,"
+                f" the model's load {level_torque:.6g} N*m; the bodies stay as they are"
             )
 
     def mjcf(self, ctrl_is_current: bool) -> None:
@@ -258,10 +261,10 @@ class _JointPatch:
     def _element(self, within: str, tag: str | None, attribute: str) -> Element:
         """Return the element of the joint, or of the actuator that refers to it."""
         for element in self.text.elements:
-            named = element.attributes.get(attribute) == self.joint.name
+            is_named = element.attributes.get(attribute) == self.joint.name
             if attribute == "joint":
-                named = named or element.attributes.get("jointinparent") == self.joint.name
-            if named and within in element.path[:-1] and tag in (None, element.name):
+                is_named = is_named or element.attributes.get("jointinparent") == self.joint.name
+            if is_named and within in element.path[:-1] and tag in (None, element.name):
                 return element
         label = f"joint '{self.joint.name}'" if tag else f"the actuator on joint '{self.joint.name}'"
         raise InputError(
@@ -270,17 +273,21 @@ class _JointPatch:
         )
 
     def _in_degrees(self) -> bool:
+        """Return whether the file gives angles in degrees, MJCF's default."""
         angle_units = [
             element.attributes.get("angle", "") for element in self.text.elements if element.name == "compiler"
         ]
         return not self.joint.slides and "radian" not in angle_units
 
     def _change(self, element: Element, values: dict[str, str | None]) -> None:
-        before = element.attributes
-        changed_values = {name: value for name, value in values.items() if before.get(name) != value}
-        label = f"{element.name} '{before.get('name', self.joint.name)}'"
+        """Change the attributes of an element whose texts differ; None removes one."""
+        attributes_before = element.attributes
+        changed_values = {name: value for name, value in values.items() if attributes_before.get(name) != value}
+        label = f"{element.name} '{attributes_before.get('name', self.joint.name)}'"
         line = self.text.line(element)
-        self.changes += [Change(label, line, name, before.get(name), value) for name, value in changed_values.items()]
+        self.changes += [
+            Change(label, line, name, attributes_before.get(name), value) for name, value in changed_values.items()
+        ]
         self.attribute_changes.setdefault(self.text.elements.index(element), {}).update(changed_values)
 
 
@@ -294,14 +301,14 @@ def write_patch(patched: Patch, out: Path) -> None:
     with new_file(out) as path:
         path.write_bytes(patched.text)
         try:
-            read = figures_of(read_joint(path, patched.joint.name))
+            figures_read = figures_of(read_joint(path, patched.joint.name))
         except InputError as fault:
             raise InputError([line.replace(str(path), str(out)) for line in fault.faults]) from None
         for name, value in patched.expected.items():
-            if not same_figure(value, read[name]):
+            if not same_figure(value, figures_read[name]):
                 raise InputError(
-                    f"{out}: MuJoCo reads {name} {read[name]:.9g} of joint '{patched.joint.name}', {value:.9g} was"
-                    " written; a default or a compiler setting of the file stands against it"
+                    f"{out}: MuJoCo reads {name} {figures_read[name]:.9g} of joint '{patched.joint.name}', {value:.9g}"
+                    " was written; a default or a compiler setting of the file stands against it"
                 )
 
 

@@ -1,4 +1,4 @@
-"""An augmented model as a table for other simulators: figures of joint and actuator, effects with units and meaning."""
+"""Make a table of an augmented model for other simulators: joint, actuator, effects with units and meanings."""
 
 from typing import Any
 
@@ -34,6 +34,7 @@ def actuator_table(model: Model, joint: str, timestep: float | None = None) -> d
 
 
 def _inertia(model: Model) -> dict[str, Any]:
+    """Return the inertia of rotor and load, and the load's weight."""
     load = model.load
     return {
         "rotor_kg_m2": model.rotor_inertia,
@@ -44,15 +45,15 @@ def _inertia(model: Model) -> dict[str, Any]:
 
 
 def _friction(model: Model) -> dict[str, Any]:
-    """Return friction at rest, while sliding and with speed."""
-    sliding = at_rest = model.coulomb_friction
+    """Return the friction at rest and while sliding, and the damping of friction and of the back-EMF."""
+    sliding_torque = breakaway_torque = model.coulomb_friction
     for entry in model.effects:
-        if entry.effect == "stribeck" and at_rest is not None:
-            at_rest *= 1.0 + entry.parameters["breakaway_ratio"]
+        if entry.effect == "stribeck" and breakaway_torque is not None:
+            breakaway_torque *= 1.0 + entry.parameters["breakaway_ratio"]
     servo = servo_figures(model)
     return {
-        "static_Nm": at_rest,
-        "dynamic_Nm": sliding,
+        "static_Nm": breakaway_torque,
+        "dynamic_Nm": sliding_torque,
         "viscous_Nm_s_per_rad": model.viscous_damping,
         "back_emf_Nm_s_per_rad": servo.braking if servo else None,
     }
@@ -74,11 +75,13 @@ def _actuator(model: Model) -> dict[str, Any]:
 
 
 def _delay(model: Model, timestep: float | None) -> dict[str, Any]:
+    """Return the delay of the command in seconds, and in steps if a step [s] is given."""
     delay = sum(entry.parameters["delay"] for entry in model.effects if entry.effect == "transport_delay")
     return {"delay_s": delay, "timestep_s": timestep, "steps": None if timestep is None else round(delay / timestep)}
 
 
 def _effect(model: Model, name: str, parameters: dict[str, float]) -> dict[str, Any]:
+    """Return an effect with its meaning, and its parameters with their units and meanings."""
     definition = effect_definition(name)
     return {
         "effect": name,
@@ -87,10 +90,10 @@ def _effect(model: Model, name: str, parameters: dict[str, float]) -> dict[str, 
         "parameters": [
             {
                 "name": parameter,
-                "value": parameters.get(parameter, about.default),
-                "units": model.units_of(about.units),
-                "meaning": about.meaning,
+                "value": parameters.get(parameter, parameter_definition.default),
+                "units": model.units_of(parameter_definition.units),
+                "meaning": parameter_definition.meaning,
             }
-            for parameter, about in definition.parameters.items()
+            for parameter, parameter_definition in definition.parameters.items()
         ],
     }

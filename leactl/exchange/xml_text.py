@@ -10,7 +10,7 @@ from xml.sax.saxutils import quoteattr
 from leactl.errors import InputError
 from leactl.regular_files import file_bytes
 
-MOST_FILE_BYTES = 1 << 24
+MOST_FILE_BYTES = 1 << 24  # bytes of the largest file that is read
 _ATTRIBUTE = re.compile(r"""\s+([^\s=/>"']+)\s*=\s*("[^"]*"|'[^']*')""")
 
 
@@ -20,13 +20,13 @@ class Element:
 
     path: tuple[str, ...]  # names from the root to the element
     attributes: Mapping[str, str]
-    begin: int  # bytes into the file, of its `<`
-    end: int  # behind its `>`
-    parent: int | None  # index among the elements of the file
+    begin: int  # index of the byte of its `<` in the file
+    end: int  # index of the byte after its `>`
+    parent: int | None  # index of the element around it; None of the outermost element
 
     @property
     def name(self) -> str:
-        """Return the name of the element."""
+        """Name of the element."""
         return self.path[-1]
 
 
@@ -40,7 +40,7 @@ class XmlText:
 
     @property
     def root(self) -> str:
-        """Return the name of the outermost element."""
+        """Name of the outermost element."""
         return self.elements[0].name
 
     def line(self, element: Element) -> int:
@@ -52,30 +52,30 @@ class XmlText:
         index = self.elements.index(element)
         return (child for child in self.elements if child.parent == index)
 
-    def changed(self, changes: Mapping[int, Mapping[str, str | None]], below: Mapping[int, str]) -> bytes:
-        """Return the file with attributes of some elements set, or removed where they are None.
+    def changed(self, changes: Mapping[int, Mapping[str, str | None]], new_children: Mapping[int, str]) -> bytes:
+        """Return the file with attributes of some elements set, or removed if they are None.
 
         Parameters
         ----------
         changes : attributes by the index of their element.
-        below : text of a new first child, by the index of its parent.
+        new_children : text of a new first child, by the index of its parent.
         """
-        parts, copied_to = [], 0
-        for index in sorted({*changes, *below}):
+        parts, copied_end = [], 0
+        for index in sorted({*changes, *new_children}):
             element = self.elements[index]
-            parts.append(self.raw[copied_to : element.begin])
+            parts.append(self.raw[copied_end : element.begin])
             tag = self.raw[element.begin : element.end].decode("utf-8")
             for name, value in changes.get(index, {}).items():
                 tag = _with_attribute(tag, name, value)
             parts.append(tag.encode("utf-8"))
-            copied_to = element.end
-            if index in below:
-                parts.append((_break_before(self.raw, element) + below[index]).encode("utf-8"))
-        return b"".join([*parts, self.raw[copied_to:]])
+            copied_end = element.end
+            if index in new_children:
+                parts.append((_break_before(self.raw, element) + new_children[index]).encode("utf-8"))
+        return b"".join([*parts, self.raw[copied_end:]])
 
 
 def read_xml(path: Path) -> XmlText:
-    """Read an XML file.
+    """Return an XML file with the positions of its elements.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def read_xml(path: Path) -> XmlText:
 
 
 def parse_xml(raw: bytes, name: str) -> XmlText:
-    """Return the elements of XML bytes; `name` stands in error messages.
+    """Return the elements of XML bytes; errors name the file as `name`.
 
     Raises
     ------
@@ -103,16 +103,16 @@ def parse_xml(raw: bytes, name: str) -> XmlText:
     def begin(tag: str, attributes: dict[str, str]) -> None:
         parent = open_elements[-1] if open_elements else None
         path = (*(elements[parent].path if parent is not None else ()), tag)
-        at = parser.CurrentByteIndex
+        tag_begin = parser.CurrentByteIndex
         open_elements.append(len(elements))
-        elements.append(Element(path, attributes, at, _end_of_tag(raw, at), parent))
+        elements.append(Element(path, attributes, tag_begin, _end_of_tag(raw, tag_begin), parent))
 
-    def declares(*_: object) -> None:
+    def refuse_document_type(*_: object) -> None:
         raise InputError(f"{name}:{parser.CurrentLineNumber}:1  <!DOCTYPE> is not accepted")
 
     parser.StartElementHandler = begin
     parser.EndElementHandler = lambda _: open_elements.pop()
-    parser.StartDoctypeDeclHandler = declares
+    parser.StartDoctypeDeclHandler = refuse_document_type
     try:
         parser.Parse(raw, True)
     except expat.ExpatError as fault:
@@ -120,10 +120,10 @@ def parse_xml(raw: bytes, name: str) -> XmlText:
     return XmlText(name, raw, tuple(elements))
 
 
-def _end_of_tag(raw: bytes, at: int) -> int:
+def _end_of_tag(raw: bytes, begin: int) -> int:
     """Return the index behind the `>` that ends a start tag; a `>` in a quoted value does not count."""
     quote = b""
-    for index in range(at, len(raw)):
+    for index in range(begin, len(raw)):
         char = raw[index : index + 1]
         if quote:
             quote = b"" if char == quote else quote
@@ -131,7 +131,7 @@ def _end_of_tag(raw: bytes, at: int) -> int:
             quote = char
         elif char == b">":
             return index + 1
-    return len(raw)  # the parser finds fault with it
+    return len(raw)  # the tag has no end, for which the parser raises an error
 
 
 def _with_attribute(tag: str, name: str, value: str | None) -> str:
@@ -151,5 +151,5 @@ def _with_attribute(tag: str, name: str, value: str | None) -> str:
 
 def _break_before(raw: bytes, element: Element) -> str:
     """Return the line break and indentation before an element's first child: two spaces more than its own."""
-    line = raw[raw.rfind(b"\n", 0, element.begin) + 1 : element.begin].decode("utf-8")
-    return "\n" + (line if not line.strip() else "") + "  "
+    text_before = raw[raw.rfind(b"\n", 0, element.begin) + 1 : element.begin].decode("utf-8")
+    return "\n" + (text_before if not text_before.strip() else "") + "  "
