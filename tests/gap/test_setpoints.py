@@ -79,7 +79,7 @@ def limited_joint(seed, rows):
 def test_a_drive_of_a_limited_rate_is_no_sign_of_setpoints_between_rows(seed):
     limited = limited_joint(seed, 20)
     runs = [(record, shown) for record in limited.held_out if (shown := follow(record, limited.model)) is not None]
-    assert any(changes_between(shown.missed, shown.leaping) for _, shown in runs), "the limit is missed at leaps"
+    assert any(changes_between(shown.residuals, shown.leap_sizes) for _, shown in runs), "the limit is missed at leaps"
     assert not changes_setpoints_between_rows(limited)
 
 
