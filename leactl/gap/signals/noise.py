@@ -58,8 +58,8 @@ def quiet_spectrum(values: Array) -> Array | None:
     window = np.hanning(SEGMENT)
     spectra = np.abs(np.fft.rfft((segments - segments @ basis @ basis.T) * window, axis=1)) ** 2 / np.sum(window**2)
     power = np.median(spectra, axis=0) / MEDIAN_OF_POWER
-    quarter, half = len(power) // 4, len(power) // 2
-    power[:TREND_COEFFICIENTS] = np.median(power[TREND_COEFFICIENTS:quarter])
+    quarter_band, half_band = len(power) // 4, len(power) // 2
+    power[:TREND_COEFFICIENTS] = np.median(power[TREND_COEFFICIENTS:quarter_band])
     power = np.asarray(median_filter(power, LINE_FILTER_BINS, mode="nearest"))
-    power[:quarter] = np.minimum(power[:quarter], np.median(power[quarter:half]))
+    power[:quarter_band] = np.minimum(power[:quarter_band], np.median(power[quarter_band:half_band]))
     return power

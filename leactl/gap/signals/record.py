@@ -338,11 +338,11 @@ def even_grid(stamps: Array, usual_interval: float) -> tuple[Array, float, bool]
 def without_edges(valid: Mask) -> Mask:
     """Return the valid samples that are not beside a long gap, from which smoothing carries interpolated values."""
     gaps = np.flatnonzero(np.diff(np.concatenate([[1], valid.astype(np.intp), [1]])))
-    inner = valid.copy()
+    away_from_gaps = valid.copy()
     for begin, end in gaps.reshape(-1, 2):
         if end - begin >= LONG_GAP:
-            inner[max(begin - SMOOTHING_REACH, 0) : end + SMOOTHING_REACH] = False
-    return inner
+            away_from_gaps[max(begin - SMOOTHING_REACH, 0) : end + SMOOTHING_REACH] = False
+    return away_from_gaps
 
 
 def winding_region(channel: Channel) -> str:

@@ -96,11 +96,18 @@ def form_scales(records: Sequence[Record], model: Model) -> dict[str, float]:
     units["loop"] = time_constant(bench.current_loop_bandwidth, min(clock.interval for clock in clocks))
     units["velocity filter"] = time_constant(bench.velocity_filter_bandwidth, units["loop"])
     units["torque filter"] = time_constant(bench.torque_filter_bandwidth, units["loop"])
-    turning = [(float(clock.since_begin[-1]), speed) for clock in clocks for speed in absolute_speeds(clock)]
-    if turning and (top_speed := max(float(np.quantile(speed, TOP_QUANTILE)) for _, speed in turning)) > 0.0:
+    durations_and_speeds = [
+        (float(clock.since_begin[-1]), speed) for clock in clocks for speed in absolute_speeds(clock)
+    ]
+    if (
+        durations_and_speeds
+        and (top_speed := max(float(np.quantile(speed, TOP_QUANTILE)) for _, speed in durations_and_speeds)) > 0.0
+    ):
         units["highest speed"] = top_speed
         units["longest run"] = max(
-            duration for duration, speed in turning if np.quantile(speed, TOP_QUANTILE) > TURNING_SHARE * top_speed
+            duration
+            for duration, speed in durations_and_speeds
+            if np.quantile(speed, TOP_QUANTILE) > TURNING_SHARE * top_speed
         )
     currents = [
         highest_value(clock, name) for clock in clocks for name in ("q_axis_current", "q_axis_current_reference")

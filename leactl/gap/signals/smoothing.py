@@ -117,9 +117,9 @@ def sharp_mean_signs(speeds: Array, noise: float) -> Array:
     fast_reversals = (earlier * later < 0.0) & (
         np.minimum(np.abs(earlier), np.abs(later)) > FAST_REVERSAL_SPEED * noise
     )
-    turning = np.zeros(len(smoothed), np.bool_)
-    turning[reach:-reach] = fast_reversals
-    return np.where(turning, bent_mean_signs(speeds, noise), signs)
+    is_fast_reversal = np.zeros(len(smoothed), np.bool_)
+    is_fast_reversal[reach:-reach] = fast_reversals
+    return np.where(is_fast_reversal, bent_mean_signs(speeds, noise), signs)
 
 
 def noise_of_acceleration(noise: float, interval: float, width: float) -> float:
@@ -127,9 +127,9 @@ def noise_of_acceleration(noise: float, interval: float, width: float) -> float:
 
     width : samples, smoothing in addition to `BASE_WIDTH`.
     """
-    # of the second derivative of a Gaussian: its squares add up to 3 / (8 sqrt(pi) spread^5)
-    spread = math.hypot(BASE_WIDTH, width)
-    return noise / interval**2 * math.sqrt(3.0 / (8.0 * math.sqrt(math.pi) * spread**5))
+    # the squares of the second derivative of a Gaussian add up to 3 / (8 sqrt(pi) total_width^5)
+    total_width = math.hypot(BASE_WIDTH, width)
+    return noise / interval**2 * math.sqrt(3.0 / (8.0 * math.sqrt(math.pi) * total_width**5))
 
 
 def kernel(width: float) -> Array:
@@ -148,10 +148,10 @@ def smoothed_and_thinned(columns: Array, width: float, step: int) -> Array:
     if width <= 0.0:
         return columns[::step]
     weights = kernel(width)
-    full: Array = upfirdn(weights, columns, up=1, down=step, axis=0)
+    smoothed: Array = upfirdn(weights, columns, up=1, down=step, axis=0)
     begin = -(-(len(weights) - 1) // step)
     end = (len(columns) - 1) // step + 1
-    return full[begin:end]
+    return smoothed[begin:end]
 
 
 def thinned_rows(length: int, width: float, step: int) -> npt.NDArray[np.intp]:
