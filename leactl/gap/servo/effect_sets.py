@@ -78,17 +78,17 @@ def fit_effect_sets(
     InputError : a run without a position servo, or runs sampled at different rates.
     """
     runs = servo_runs(records, model)
-    fixed = parameters_of_model_effects(model)
-    model_effects = {name.partition(".")[0] for name in fixed}
-    held = (*fixed, *unidentifiable(runs))
+    fixed_parameters = parameters_of_model_effects(model)
+    model_effects = {name.partition(".")[0] for name in fixed_parameters}
+    held_parameters = (*fixed_parameters, *unidentifiable(runs))
     start_parameters = (
         {name: float(getattr(model, name) or 0.0) for name in MODEL_PARAMETERS}
         | dict.fromkeys(RIG_PARAMETERS, 0.0)
-        | fixed
+        | fixed_parameters
     )
-    (plain,) = fit(runs, [start_parameters | {"reference_delay": runs.interval}], held)
-    sets = FittedSets(runs, {frozenset(): plain}, held)
-    limit_starts = drive_starts(runs, [start_parameters, plain.parameters])
+    (fit_without_effects,) = fit(runs, [start_parameters | {"reference_delay": runs.interval}], held_parameters)
+    sets = FittedSets(runs, {frozenset(): fit_without_effects}, held_parameters)
+    limit_starts = drive_starts(runs, [start_parameters, fit_without_effects.parameters])
     drive_effects = sets.grow(
         frozenset(), {name: starts for name, starts in limit_starts.items() if name not in model_effects}
     )
@@ -103,10 +103,12 @@ def fit_effect_sets(
         ]
         # sets are not tried beyond one that follows the runs closely
         smaller_sets = [subset for subset in smaller_sets if subset in sets]
-        fits = fit(runs, [sets[subset].parameters | starts[effect][0] for subset in smaller_sets], held)
+        fits = fit(runs, [sets[subset].parameters | starts[effect][0] for subset in smaller_sets], held_parameters)
         sets.update({subset | {effect}: fitted for subset, fitted in zip(smaller_sets, fits, strict=True)})
         # a luckier search is no gain of the effect: fit again without it, from where the fit with it ended
-        refits = fit(runs, [without_effects(fitted.parameters, frozenset({effect})) for fitted in fits], held)
+        refits = fit(
+            runs, [without_effects(fitted.parameters, frozenset({effect})) for fitted in fits], held_parameters
+        )
         sets.update(
             {
                 subset: refit
@@ -121,40 +123,46 @@ def fit_effect_sets(
     standing = likely_effects(sets, members, runs, servo_runs(held_out_servos, model) if held_out_servos else None)
     named = frozenset(item.effect for item in standing if item.probability >= NAMED_PROBABILITY)
     sets.fit_missing([named, frozenset()], members)
-    final = sets.settle(named)
+    final_fit = sets.settle(named)
     # a step of the simulation applies its reference half a step too early
-    reference_delay = final.parameters["reference_delay"] - 0.5 * runs.interval / parts_of(
-        runs, table([final.parameters])
+    reference_delay = final_fit.parameters["reference_delay"] - 0.5 * runs.interval / parts_of(
+        runs, table([final_fit.parameters])
     )
-    return FittedEffectSets(standing, sets[frozenset()], final, standard_errors_of(final, runs), sets, reference_delay)
+    return FittedEffectSets(
+        standing, sets[frozenset()], final_fit, standard_errors_of(final_fit, runs), sets, reference_delay
+    )
 
 
 class FittedSets(dict[EffectSet, FittedServo]):
     """Best fit of every set of effects that was tried."""
 
-    def __init__(self, runs: ServoRuns, known: Mapping[EffectSet, FittedServo], held: Sequence[str]) -> None:
-        super().__init__(known)
+    def __init__(self, runs: ServoRuns, fits: Mapping[EffectSet, FittedServo], held: Sequence[str]) -> None:
+        super().__init__(fits)
         self._runs, self._held = runs, tuple(held)
 
-    def grow(self, core: EffectSet, starts: Mapping[str, Sequence[Parameters]]) -> EffectSet:
+    def grow(self, core_effects: EffectSet, starts: Mapping[str, Sequence[Parameters]]) -> EffectSet:
         """Fit sets of further effects beside a core, each from the fits of smaller sets, and prune the best.
 
         The profile parameters of a core stay as fitted. No larger set is tried once a set follows the runs so closely
         that no further effect could be named.
         """
-        held = (*self._held, *(PROFILE_PARAMETERS if "reference_rate_limit" in core else ()))
-        judged = DRIVE_EFFECTS & starts.keys()
+        held = (*self._held, *(PROFILE_PARAMETERS if "reference_rate_limit" in core_effects else ()))
+        judged_effects = DRIVE_EFFECTS & starts.keys()
         for size in range(len(starts)):
             fitted_sets = [
                 members
                 for members in self
-                if members >= core and members - core <= starts.keys() and len(members) == size + len(core)
+                if members >= core_effects
+                and members - core_effects <= starts.keys()
+                and len(members) == size + len(core_effects)
             ]
-            best = min(fitted_sets, key=lambda members: self[members].cost)
+            best_set = min(fitted_sets, key=lambda members: self[members].cost)
             # where two effects gain next to nothing, three gain nothing
-            gains_little = size >= SIZE_ALWAYS_TRIED and log_cost_ratio(self, core, best, self._runs) < COST_FORM_ERROR
-            if gains_little or self.followed(best, judged):
-                return self.pruned(best)
+            gains_little = (
+                size >= SIZE_ALWAYS_TRIED and log_cost_ratio(self, core_effects, best_set, self._runs) < COST_FORM_ERROR
+            )
+            if gains_little or self.followed(best_set, judged_effects):
+                return self.pruned(best_set)
             jobs: list[tuple[EffectSet, str, Parameters]] = []
             for members in fitted_sets:
                 for effect in sorted(starts.keys() - members):
@@ -169,18 +177,18 @@ class FittedSets(dict[EffectSet, FittedServo]):
                 members = smaller_set | {effect}
                 if members not in self or candidate.cost < self[members].cost:
                     self[members] = candidate
-        return self.pruned(core.union(starts))
+        return self.pruned(core_effects.union(starts))
 
-    def followed(self, members: EffectSet, judged: EffectSet) -> bool:
+    def followed(self, members: EffectSet, judged_effects: EffectSet) -> bool:
         """Return whether a set's cost is so close to the open cost that no further effect could be named."""
         fitted = self[members]
-        cost_left_open = open_cost(self, members, judged, self._runs)
+        cost_left_open = open_cost(self, members, judged_effects, self._runs)
         largest_log_ratio = math.log((fitted.cost + cost_left_open) / cost_left_open) if cost_left_open else math.inf
         return presence(height(largest_log_ratio, fitted)) < NAMED_PROBABILITY
 
-    def fit_missing(self, wanted: Sequence[EffectSet], largest: EffectSet) -> None:
+    def fit_missing(self, wanted_sets: Sequence[EffectSet], largest: EffectSet) -> None:
         """Fit the wanted sets that were not tried, each from the fit of the largest set."""
-        missing = [members for members in dict.fromkeys(wanted) if members not in self]
+        missing = [members for members in dict.fromkeys(wanted_sets) if members not in self]
         largest_fit = (
             self[largest]
             if largest in self
@@ -341,15 +349,17 @@ def without_effects(parameters: Parameters, effects: EffectSet) -> Parameters:
 
 
 def log_cost_ratio(
-    sets: Mapping[EffectSet, FittedServo], fewer: EffectSet, members: EffectSet, runs: ServoRuns
+    sets: Mapping[EffectSet, FittedServo], fewer_effects: EffectSet, members: EffectSet, runs: ServoRuns
 ) -> float:
     """Return the log of the cost with fewer effects over the cost with all, each plus the open cost; at least 0."""
-    fit_of_all, fit_of_fewer = sets[members], sets[fewer]
-    cost_left_open = open_cost(sets, members, members - fewer, runs)
+    fit_of_all, fit_of_fewer = sets[members], sets[fewer_effects]
+    cost_left_open = open_cost(sets, members, members - fewer_effects, runs)
     return math.log(max((fit_of_fewer.cost + cost_left_open) / (fit_of_all.cost + cost_left_open), 1.0))
 
 
-def open_cost(sets: Mapping[EffectSet, FittedServo], members: EffectSet, judged: EffectSet, runs: ServoRuns) -> float:
+def open_cost(
+    sets: Mapping[EffectSet, FittedServo], members: EffectSet, judged_effects: EffectSet, runs: ServoRuns
+) -> float:
     """Return the cost [rad^2] that encoder counts and errors of the drive's forms leave open.
 
     A profile or a dead band takes most of the cost; a share of that is open because of their forms, unless they are
@@ -357,7 +367,7 @@ def open_cost(sets: Mapping[EffectSet, FittedServo], members: EffectSet, judged:
     """
     cost_left_open = len(sets[members].error) * (IGNORED_RMS_COUNTS * runs.encoder_resolution) ** 2
     drive_effects = members & DRIVE_EFFECTS
-    if drive_effects and not judged & DRIVE_EFFECTS and members - drive_effects in sets:
+    if drive_effects and not judged_effects & DRIVE_EFFECTS and members - drive_effects in sets:
         cost_left_open += DRIVE_FORM_ERROR * max(sets[members - drive_effects].cost - sets[members].cost, 0.0)
     return cost_left_open
 
