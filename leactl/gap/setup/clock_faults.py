@@ -93,8 +93,8 @@ def is_in_time(pair: ExpectedChannel) -> bool:
     residual = pair.measured - coefficients[0] * pair.expected
     noise = noise_of(residual) / np.sqrt(np.sqrt(4.0 * np.pi) * width)
     smooth_residual = smooth(pair.measured, width) - columns @ coefficients
-    early = coefficients[1] < -STAMP_ERROR * abs(coefficients[0])
-    return not early and float(np.std(smooth_residual)) < MOST_QUIET_ERROR * noise
+    is_early = coefficients[1] < -STAMP_ERROR * abs(coefficients[0])
+    return not is_early and float(np.std(smooth_residual)) < MOST_QUIET_ERROR * noise
 
 
 def drift_courses(group: Sequence[tuple[Record, ExpectedChannel, Lateness]]) -> dict[str, LatenessCourse]:

@@ -64,5 +64,5 @@ def whole_number(factor: float, error: float) -> int | None:
     larger = max(factor, 1.0 / factor)
     number = round(larger)
     tolerance = WHOLE_TOLERANCE / max(number, 1)  # of the logarithm
-    determined = 2 <= number <= MOST_POLE_PAIRS and error < tolerance
-    return number if determined and abs(math.log(larger / number)) < tolerance + error else None
+    is_determined = 2 <= number <= MOST_POLE_PAIRS and error < tolerance
+    return number if is_determined and abs(math.log(larger / number)) < tolerance + error else None

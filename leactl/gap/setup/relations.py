@@ -294,13 +294,13 @@ def is_scaled(design: Array, values: Array, factor_of_all: float) -> bool:
     """Return whether small values have the same factor as all: a limit changes only large values, a scale all."""
     expected_size = np.abs(design[:, 0])
     small_limit = float(np.quantile(expected_size, SMALL_SHARE))
-    small = expected_size <= small_limit
-    if factor_of_all <= 0.0 or abs(math.log(factor_of_all)) < LEAST_LOG_FACTOR or int(small.sum()) < FEWEST_SAMPLES:
+    is_small = expected_size <= small_limit
+    if factor_of_all <= 0.0 or abs(math.log(factor_of_all)) < LEAST_LOG_FACTOR or int(is_small.sum()) < FEWEST_SAMPLES:
         return True
     if small_limit > MOST_SMALL_LEVEL * float(np.max(expected_size)):  # a channel of two levels has no small values
         return False
-    columns = np.column_stack([design[small], np.ones(int(small.sum()))])
-    factor_of_small = float(np.linalg.lstsq(columns, values[small], rcond=1e-10)[0][0])
+    columns = np.column_stack([design[is_small], np.ones(int(is_small.sum()))])
+    factor_of_small = float(np.linalg.lstsq(columns, values[is_small], rcond=1e-10)[0][0])
     return factor_of_small > 0.0 and abs(math.log(factor_of_small / factor_of_all)) <= MOST_FACTOR_DIFFERENCE * abs(
         math.log(factor_of_all)
     )
