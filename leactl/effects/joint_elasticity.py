@@ -28,7 +28,7 @@ class JointElasticity(Effect):
     name = "joint_elasticity"
     relative_to = ("rotor_inertia",)
     one_sided = True
-    least = 0.1  # share of the inertia; a smaller part is loose, or the lateness of a loop or a stamp
+    least = 0.1  # share of the inertia; a smaller share is a loose part, or what a late loop or stamp imitates
     forms = tuple((float(rate), damping) for rate in np.geomspace(0.003, 0.045, 14) for damping in (0.02, 0.07, 0.25))
     form_scales = ("sampling rate", "1")
     refined = 2

@@ -243,11 +243,11 @@ class _CompiledJoint:
             np.any(getattr(model, f"tendon_{name}")[tendon]) for name in properties if hasattr(model, f"tendon_{name}")
         ):
             return True
-        driven = (np.asarray(model.actuator_trntype) == kinds.mjTRN_TENDON) & (model.actuator_trnid[:, 0] == tendon)
-        tied = (np.asarray(model.eq_type) == self.mujoco.mjtEq.mjEQ_TENDON) & (
+        is_driven = (np.asarray(model.actuator_trntype) == kinds.mjTRN_TENDON) & (model.actuator_trnid[:, 0] == tendon)
+        is_tied = (np.asarray(model.eq_type) == self.mujoco.mjtEq.mjEQ_TENDON) & (
             (model.eq_obj1id == tendon) | (model.eq_obj2id == tendon)
         )
-        return bool(np.any(driven) or np.any(tied))
+        return bool(np.any(is_driven) or np.any(is_tied))
 
     def _at(self, position: float, speed: float = 0.0) -> Any:
         """Return the state of the whole model with the joint at a position [rad] and a speed [rad/s]."""

@@ -138,11 +138,11 @@ def _with_attribute(tag: str, name: str, value: str | None) -> str:
     """Return a start tag with an attribute set, or removed if the value is None."""
     for match in _ATTRIBUTE.finditer(tag):
         if match[1] == name:
-            before, after = tag[: match.start()], tag[match.end() :]
+            text_before, text_after = tag[: match.start()], tag[match.end() :]
             if value is None:
-                return before + after
+                return text_before + text_after
             name_part = tag[match.start() : match.start(2)]
-            return before + name_part + quoteattr(value) + after
+            return text_before + name_part + quoteattr(value) + text_after
     if value is None:
         return tag
     head = tag.rstrip(">").rstrip("/").rstrip()

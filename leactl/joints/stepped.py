@@ -84,6 +84,7 @@ class JointLanes:
     def _drive(
         self, runs: Sequence[JointRun], column: Column, effect: Parameter, of_machine: Callable[[str], Array]
     ) -> None:
+        """Set the parameters of drives, their limits and their logs."""
         self.servo = column(lambda run: float(run.program.velocity is not None))
         self.proportional_gain = 2.0 * np.pi * SERVO_HZ * of_machine("rotor_inertia") / of_machine("torque_constant")
         self.integral_gain = 2.0 * np.pi * SERVO_CORNER_HZ / of_machine("rate")

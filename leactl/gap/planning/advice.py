@@ -104,16 +104,16 @@ def advise(model_file: Path, runs: Sequence[Path], protocols: Sequence[str], noi
     )
 
 
-def experiment(plan: Plan, before: Sequence[Sight], after: Sequence[Sight]) -> AdvisedProtocol:
+def experiment(plan: Plan, sights_before: Sequence[Sight], sights_after: Sequence[Sight]) -> AdvisedProtocol:
     """Return the effects that a protocol shows, and the pairs that it separates, in addition to earlier runs."""
     shows = tuple(
         sight_after.effect
-        for sight_before, sight_after in zip(before, after, strict=True)
+        for sight_before, sight_after in zip(sights_before, sights_after, strict=True)
         if sight_after.seen and not sight_before.seen
     )
-    pairs_before, pairs_after = pairs(before), pairs(after)
+    pairs_before, pairs_after = pairs(sights_before), pairs(sights_after)
     # two effects of which one is invisible are not separated
-    visible = {sight.effect for sight in after if sight.smallest is not None}
+    visible = {sight.effect for sight in sights_after if sight.smallest is not None}
     separated = tuple(sorted(pair for pair in pairs_before - pairs_after if set(pair) <= visible))
     return AdvisedProtocol(plan.name, plan.duration_s, shows, separated)
 

@@ -111,9 +111,12 @@ def _command_difference(
     if key[0] in MEASURED_INPUTS:
         tolerance = max(tolerance, MEASURED_TOLERANCE_SHARE * float(np.ptp(real_command.values)))
     reach = MOST_STAMP_DELAY * max(real_command.interval, simulated_command.interval)
-    inside = real_command.time <= simulated_duration
+    within_duration = real_command.time <= simulated_duration
     is_outside = (
-        distance_outside(real_command.time[inside], real_command.values[inside], simulated_command, reach) > tolerance
+        distance_outside(
+            real_command.time[within_duration], real_command.values[within_duration], simulated_command, reach
+        )
+        > tolerance
     )
     if not is_outside.any():
         return None

@@ -104,6 +104,7 @@ class _Pairing:
 
     @staticmethod
     def _compare(real: Run, simulated: Run) -> Mismatch | None:
+        """Return the first difference of two runs in their set-ups or inputs."""
         if real.mechanical != simulated.mechanical:
             real_name, simulated_name = (run.mechanical or "not named" for run in (real, simulated))
             return Mismatch(1.0, f"its set-up is {simulated_name}, that of {real.path} is {real_name}")
