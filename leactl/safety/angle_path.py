@@ -4,23 +4,23 @@ import math
 
 
 class AnglePath:
-    """Angle [rad] and time [s] of the last setpoint that a drive follows, or of the shaft while it follows none."""
+    """Angle [rad] and time [s] of the setpoint that a drive follows, or of the shaft while the drive follows none."""
 
-    def __init__(self, measured: float, now: float) -> None:
-        self.sent, self.sent_at = measured, now  # of the last exchange
+    def __init__(self, measured_angle: float, now: float) -> None:
+        self.base_angle, self.base_time = measured_angle, now  # of the last exchange
         self._pending: tuple[float, float] | None = None  # setpoint and time for the next exchange
         self._was_engaged = False
 
-    def ask(self, value: float, now: float) -> None:
-        """Take a setpoint for the next exchange; the last one before the exchange counts."""
-        self._pending = value, now
+    def ask(self, setpoint: float, now: float) -> None:
+        """Take a setpoint [rad] for the next exchange; the last setpoint before the exchange counts."""
+        self._pending = setpoint, now
 
-    def update(self, measured: float, engaged: bool, now: float) -> None:
+    def update(self, measured_angle: float, engaged: bool, now: float) -> None:
         """Update after an exchange; until the drive follows its setpoint, the base is the measured angle."""
-        if not engaged or math.isnan(self.sent):
-            self.sent, self.sent_at = (self.sent if math.isnan(measured) else measured), now
+        if not engaged or math.isnan(self.base_angle):
+            self.base_angle, self.base_time = (self.base_angle if math.isnan(measured_angle) else measured_angle), now
         elif self._was_engaged and self._pending is not None:
-            self.sent, self.sent_at = self._pending
+            self.base_angle, self.base_time = self._pending
         else:
-            self.sent_at = now
+            self.base_time = now
         self._was_engaged, self._pending = engaged, None

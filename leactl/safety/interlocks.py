@@ -14,9 +14,9 @@ from leactl.quantities import UNITS, ChannelSpec
 from leactl.safety.limits import COLDEST_DEGC, HOTTEST_DEGC, MOST_TRIP_DELAY_S, Age, Limits, Positive, trips_by
 from leactl.yamlblock import Block
 
-NEED_A_TRIP = ("drive_temperature", "housing_temperature")  # no limit of the bench covers them
+QUANTITIES_NEEDING_TRIP = ("drive_temperature", "housing_temperature")  # no limit of the bench covers them
 UNIT_KEYS = {"A": "A", "V": "V", "rad": "rad", "rad/s": "rad_s", "N*m": "Nm", "degC": "degC"}
-VALUES = ("warn", "trip", "warn_low", "warn_high", "trip_low", "trip_high", "rate")
+KEYS_WITH_UNIT = ("warn", "trip", "warn_low", "warn_high", "trip_low", "trip_high", "rate")
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Duration = Annotated[
     float,
@@ -29,15 +29,15 @@ Stuck = Annotated[
 ]
 # between two readings, well below the period of any loop: a limit of rate above the range over this time never trips
 SHORTEST_INTERVAL_S = 1e-4
-LARGEST_RATE = 1e7  # per second, of what no limit bounds: a thousand of any unit in `SHORTEST_INTERVAL_S`
-LARGEST_FLOOR = 0.05  # of limits.current_A, ten times the default; a drive that is off has eight times the floor
+LARGEST_RATE = 1e7  # per second, of a quantity without a limit: a thousand of any unit in `SHORTEST_INTERVAL_S`
+LARGEST_FLOOR = 0.05  # share of limits.current_A, ten times the default; a drive that is off may read eight floors
 BlockPath = tuple[str | int, ...]
 T = TypeVar("T")
 
 
 def _key(unit: str, name: str) -> str:
-    """Return the key of a bench file that holds one field of an entry."""
-    if name not in VALUES:
+    """Return the key of a bench file that holds a field of an entry, with its unit if it has one."""
+    if name not in KEYS_WITH_UNIT:
         return name
     return f"{name}_{unit}_per_s" if name == "rate" else f"{name}_{unit}"
 
@@ -46,7 +46,7 @@ class QuantityLimits(Block):
     """Values from which one quantity warns and trips, for one role or for all; magnitudes, or `_low` and `_high`."""
 
     unit: ClassVar[str] = ""
-    lowest: ClassVar[float] = -1.0  # times a lone `trip` or `warn`: to either side
+    lowest_factor: ClassVar[float] = -1.0  # lowest value over a magnitude `warn` or `trip`
 
     role: Literal["test", "load", "bench"] | None = None
     warn: Finite | None = None
@@ -55,16 +55,16 @@ class QuantityLimits(Block):
     warn_high: Finite | None = None
     trip_low: Finite | None = None
     trip_high: Finite | None = None
-    for_s: Duration = 0.0  # how long beyond `trip` before it trips
-    rate: Positive | None = None  # per second, between one reading and the next
-    stuck_s: Stuck | None = None  # how long the very same value may repeat while others move
-    age_s: Age | None = None  # instead of the limits' own
+    for_s: Duration = 0.0  # how long a value has to be beyond `trip` before it trips
+    rate: Positive | None = None  # largest change per second between one reading and the next
+    stuck_s: Stuck | None = None  # how long exactly the same value may repeat while other channels change
+    age_s: Age | None = None  # largest age, in place of that of the limits
 
     def window(self, kind: Literal["warn", "trip"]) -> tuple[float, float]:
-        """Return the lowest and highest value that does not warn, or trip; infinite where the file has none."""
-        lone: float | None = getattr(self, kind)
-        if lone is not None:
-            return self.lowest * lone, lone
+        """Return the lowest and highest value that does not warn, or not trip; infinite if the file states none."""
+        single: float | None = getattr(self, kind)
+        if single is not None:
+            return self.lowest_factor * single, single
         low: float | None = getattr(self, f"{kind}_low")
         high: float | None = getattr(self, f"{kind}_high")
         return (-math.inf if low is None else low), (math.inf if high is None else high)
@@ -72,21 +72,21 @@ class QuantityLimits(Block):
     @model_validator(mode="before")
     @classmethod
     def _with_units(cls, data: Any) -> Any:
-        for name in (*VALUES, "for", "stuck", "age") if isinstance(data, dict) else ():
+        for name in (*KEYS_WITH_UNIT, "for", "stuck", "age") if isinstance(data, dict) else ():
             if name in data:
-                expected = _key(cls.unit, name) if name in VALUES else f"{name}_s"
+                expected = _key(cls.unit, name) if name in KEYS_WITH_UNIT else f"{name}_s"
                 raise ValueError(f"{name} carries no unit; {expected} was expected")
         return data
 
     @model_validator(mode="after")
     def _in_order(self) -> "QuantityLimits":
         for kind in ("warn", "trip"):
-            lone = _key(self.unit, kind)
+            single_key = _key(self.unit, kind)
             if getattr(self, kind) is not None:
                 if getattr(self, f"{kind}_low") is not None or getattr(self, f"{kind}_high") is not None:
-                    raise ValueError(f"{lone} stands beside a low or a high one; one of the two was expected")
-                if self.lowest < 0 and not getattr(self, kind) > 0:
-                    raise ValueError(f"{lone} {getattr(self, kind):g} is a magnitude; more than 0 was expected")
+                    raise ValueError(f"{single_key} stands beside a low or a high one; one of the two was expected")
+                if self.lowest_factor < 0 and not getattr(self, kind) > 0:
+                    raise ValueError(f"{single_key} {getattr(self, kind):g} is a magnitude; more than 0 was expected")
         (warn_low, warn_high), (trip_low, trip_high) = self.window("warn"), self.window("trip")
         for low, high, kind in ((warn_low, warn_high, "warn"), (trip_low, trip_high, "trip")):
             if low >= high:
@@ -150,11 +150,11 @@ class InDegrees(QuantityLimits):
 
     model_config = _keys_in("degC")
     unit = "degC"
-    lowest = -math.inf
+    lowest_factor = -math.inf
 
     @model_validator(mode="after")
     def _in_celsius(self) -> "InDegrees":
-        for name in VALUES[:-1]:
+        for name in KEYS_WITH_UNIT[:-1]:
             value: float | None = getattr(self, name)
             if value is not None and not COLDEST_DEGC <= value <= HOTTEST_DEGC:
                 raise ValueError(
@@ -164,13 +164,13 @@ class InDegrees(QuantityLimits):
         return self
 
 
-def _form(value: Any) -> str:
+def _entries_tag(value: Any) -> str:
     return "[several]" if isinstance(value, list | tuple) else "[one]"
 
 
 Entries = Annotated[
     Annotated[T, Tag("[one]")] | Annotated[tuple[T, ...], Tag("[several]")],
-    Discriminator(_form),
+    Discriminator(_entries_tag),
 ]
 
 
@@ -295,69 +295,72 @@ class Interlocks(Block):
     disk_space: DiskSpace = DiskSpace()
 
     def entries(self) -> Iterator[tuple[str, QuantityLimits, BlockPath]]:
-        """Yield each entry with its quantity and its place in the block."""
+        """Yield each entry with its quantity and its path in the block."""
         for quantity in UNITS:
-            listed: QuantityLimits | tuple[QuantityLimits, ...] = getattr(self, quantity, ())
-            if isinstance(listed, QuantityLimits):
-                yield quantity, listed, (quantity,)
+            entries_of_quantity: QuantityLimits | tuple[QuantityLimits, ...] = getattr(self, quantity, ())
+            if isinstance(entries_of_quantity, QuantityLimits):
+                yield quantity, entries_of_quantity, (quantity,)
             else:
-                yield from ((quantity, entry, (quantity, number)) for number, entry in enumerate(listed))
+                yield from ((quantity, entry, (quantity, number)) for number, entry in enumerate(entries_of_quantity))
         if self.supply is not None:
             expected, band = self.supply.expected_V, self.supply.band_V
             window = {"trip_low_V": expected - band, "trip_high_V": expected + band, "for_s": self.supply.for_s}
             yield "bus_voltage", InVolts.model_validate(window), ("supply",)
 
     def of(self, quantity: str, role: str) -> list[QuantityLimits]:
-        """Return the entries that apply to a channel."""
+        """Return the entries that apply to a channel of this quantity and role."""
         return [entry for name, entry, _ in self.entries() if name == quantity and entry.role in (None, role)]
 
     def beyond(self, limits: Limits) -> list[tuple[BlockPath, str]]:
-        """Return faults of trips that a limit of the bench precedes, or that never happen, each with its place."""
-        faults = [*self._too_fast(limits), *self._too_far(limits)]
-        for quantity, entry, place in self.entries():
+        """Return faults of trips that a limit of the bench precedes, or that never happen, each with its path."""
+        faults = [*self._unreachable_rates(limits), *self._unreachable_differences(limits)]
+        for quantity, entry, block_path in self.entries():
             bounds = limits.of(quantity)
             low, high = entry.window("trip")
-            for value, beyond in ((high, bounds and high > bounds[1]), (low, bounds and low < bounds[0])):
-                if bounds is not None and beyond and math.isfinite(value):
+            for value, is_beyond in ((high, bounds and high > bounds[1]), (low, bounds and low < bounds[0])):
+                if bounds is not None and is_beyond and math.isfinite(value):
                     unit = UNITS[quantity]
                     message = (
                         f"a trip at {value:g} {unit} is beyond the limits of {bounds[0]:g} to {bounds[1]:g} {unit}"
                     )
-                    faults.append((place, f"{message}, which trip first; lower it, or raise the limit"))
+                    faults.append((block_path, f"{message}, which trip first; lower it, or raise the limit"))
                     break
         return faults
 
-    def _too_fast(self, limits: Limits) -> Iterator[tuple[BlockPath, str]]:
-        """Yield faults of rates that no reading within the limits can exceed, each with its place in the block."""
-        for quantity, entry, place in self.entries():
+    def _unreachable_rates(self, limits: Limits) -> Iterator[tuple[BlockPath, str]]:
+        """Yield faults of rates that no reading within the limits can exceed, each with its path in the block."""
+        for quantity, entry, block_path in self.entries():
             low, high = limits.of(quantity) or (-math.inf, math.inf)
-            most = min((high - low) / SHORTEST_INTERVAL_S, LARGEST_RATE)
-            if entry.rate is not None and entry.rate > most:
+            highest_rate = min((high - low) / SHORTEST_INTERVAL_S, LARGEST_RATE)
+            if entry.rate is not None and entry.rate > highest_rate:
                 key, unit = _key(entry.unit, "rate"), UNITS[quantity]
-                yield place, f"{key} {entry.rate:g} would never trip; {most:g} {unit} per second or less was expected"
+                yield (
+                    block_path,
+                    f"{key} {entry.rate:g} would never trip; {highest_rate:g} {unit} per second or less was expected",
+                )
 
-    def _too_far(self, limits: Limits) -> Iterator[tuple[BlockPath, str]]:
-        """Yield faults of differences that no readings within the limits can reach, each with its place."""
-        allowed = (
+    def _unreachable_differences(self, limits: Limits) -> Iterator[tuple[BlockPath, str]]:
+        """Yield faults of differences that no readings within the limits can reach, each with its path."""
+        largest_differences = (
             ("current_disagreement", "floor_A", LARGEST_FLOOR * limits.current_A, "5 % of limits.current_A"),
             ("torque_disagreement", "tolerance_Nm", limits.torque_Nm, "limits.torque_Nm"),
             ("voltage_disagreement", "tolerance_V", limits.bus_voltage_high_V, "limits.bus_voltage_high_V"),
             ("velocity_disagreement", "tolerance_rad_s", limits.velocity_rad_s, "limits.velocity_rad_s"),
         )
-        for check, key, most, source in allowed:
+        for check, key, largest, source in largest_differences:
             value = getattr(getattr(self, check), key, None)
-            if value is not None and value > most:
-                yield (check, key), f"{value:g} would never trip; {most:g} ({source}) or less was expected"
+            if value is not None and value > largest:
+                yield (check, key), f"{value:g} would never trip; {largest:g} ({source}) or less was expected"
 
     def blind(self, channels: Sequence[ChannelSpec]) -> list[tuple[BlockPath, str]]:
-        """Return faults of entries without a channel and of temperatures without a trip, each with its place."""
+        """Return faults of entries without a channel and of temperatures without a trip, each with its path."""
         measured = {(channel.quantity, channel.role) for channel in channels}
         quantities = {quantity for quantity, _role in measured}
         faults: list[tuple[BlockPath, str]] = []
-        for quantity, entry, place in self.entries():
+        for quantity, entry, block_path in self.entries():
             if (quantity, entry.role) not in measured and not (entry.role is None and quantity in quantities):
-                whose = f" of role '{entry.role}'" if entry.role else ""
-                faults.append((place, f"no device measures a {quantity}{whose}; it would never trip"))
+                of_role = f" of role '{entry.role}'" if entry.role else ""
+                faults.append((block_path, f"no device measures a {quantity}{of_role}; it would never trip"))
         if self.torque_disagreement and not {("torque", "test"), ("q_axis_current", "test")} <= measured:
             message = "no device measures both torque and q_axis_current of role 'test'; it would never trip"
             faults.append((("torque_disagreement",), message))
@@ -368,7 +371,9 @@ class Interlocks(Block):
             faults.append((("velocity_disagreement",), message))
         for channel in channels:
             entries = self.of(channel.quantity, channel.role)
-            if channel.quantity in NEED_A_TRIP and not any(math.isfinite(e.window("trip")[1]) for e in entries):
+            if channel.quantity in QUANTITIES_NEEDING_TRIP and not any(
+                math.isfinite(e.window("trip")[1]) for e in entries
+            ):
                 message = (
                     f"{channel.device} measures it of role '{channel.role}', and no trip_degC says how hot it may be"
                 )
@@ -377,5 +382,5 @@ class Interlocks(Block):
 
     def shown(self) -> dict[str, Any]:
         """Return the block with its defaults, by the keys of the bench file."""
-        whole: dict[str, Any] = self.model_dump(by_alias=True, exclude_none=True)
-        return {name: value for name, value in whole.items() if value not in ((), [])}
+        block: dict[str, Any] = self.model_dump(by_alias=True, exclude_none=True)
+        return {name: value for name, value in block.items() if value not in ((), [])}

@@ -7,21 +7,22 @@ from pydantic import AfterValidator, Field, model_validator
 
 from leactl.yamlblock import Block
 
-CYCLES_OF_SILENCE = 3
-LEADS = 2.0  # mean square current of the q axis that heats like a direct current through two leads, over its square
+CYCLES_OF_SILENCE = 3  # default of the largest age of a drive's cyclic readings, in periods of the loop
+# square of the q-axis current that heats like a direct current through two leads, over the square of the latter
+LEADS = 2.0
 LEAST_CYCLIC_AGE_S = 0.05
-UNKNOWN_AMBIENT_DEGC = 40.0  # what is not told is taken as hot
+UNKNOWN_AMBIENT_DEGC = 40.0  # an ambient temperature that a bench file does not state is taken as hot
 COLDEST_DEGC, HOTTEST_DEGC = -40.0, 200.0  # of anything on a bench; above, 25 degC in kelvin would pass for one
-MOST_TRIP_DELAY_S = 60.0  # s, that a limit or an interlock may wait before it trips
+MOST_TRIP_DELAY_S = 60.0  # of a limit or an interlock
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 
 
-def trips_by(most: float) -> Callable[[float], float]:
-    """Return a validator that refuses times longer than `most` [s], by which a trip would come too late."""
+def trips_by(longest: float) -> Callable[[float], float]:
+    """Return a validator that raises ValueError for a time above `longest` [s], after which a trip comes too late."""
 
     def check(value: float) -> float:
-        if value > most:
-            raise ValueError(f"it would never trip in time; {most:g} s or less was expected")
+        if value > longest:
+            raise ValueError(f"it would never trip in time; {longest:g} s or less was expected")
         return value
 
     return check

@@ -6,7 +6,7 @@ from collections import deque
 from leactl.safety.interlocks import ClockJump, LoopOverruns
 from leactl.safety.watching import Trip
 
-LEAST_JUMP_CYCLES = 5
+LEAST_JUMP_CYCLES = 5  # a step of the clock by less is no jump, however short the cycles
 
 
 class Pace:
@@ -14,43 +14,44 @@ class Pace:
 
     def __init__(self, overruns: LoopOverruns, clock: ClockJump, trip: Trip, now: float) -> None:
         self._overruns, self._clock, self._trip = overruns, clock, trip
-        self.period, self._longest = math.inf, math.inf
-        self.last, self.latest = now, math.inf  # a check between these times keeps the pace, and needs no `look`
-        self._in_a_row, self._late_at, self._most = 0, math.nan, math.inf
-        self._late: deque[float] = deque()
+        self.period, self._longest_step = math.inf, math.inf
+        # a check between these times keeps the pace, and needs no `look`
+        self.last_check, self.latest_check = now, math.inf
+        self._in_a_row, self._last_overrun_at, self._most_overruns = 0, math.nan, math.inf
+        self._overrun_times: deque[float] = deque()
 
     def begin(self, period: float, now: float) -> None:
         """Begin with cycles of `period` [s] at the time `now` [s]."""
-        self.period, self.last, self.latest = period, now, now + period
-        self._longest = max(self._clock.jump_s, LEAST_JUMP_CYCLES * period)
-        self._most = self._overruns.share_percent / 100 * self._overruns.window_s / period
+        self.period, self.last_check, self.latest_check = period, now, now + period
+        self._longest_step = max(self._clock.jump_s, LEAST_JUMP_CYCLES * period)
+        self._most_overruns = self._overruns.share_percent / 100 * self._overruns.window_s / period
 
     def look(self, now: float) -> None:
-        """Judge a check whose time went back, or that came more than a period after it was due.
+        """Judge a check before `last_check` or after `latest_check`: the clock went back, or the loop is late.
 
         Raises
         ------
         SafetyTrip : by way of `trip`.
         """
         self._judge(now)
-        self.latest = now + 2 * self.period
-        self.last = now
+        self.latest_check = now + 2 * self.period
+        self.last_check = now
 
     def _judge(self, now: float) -> None:
-        step = now - self.last
+        step = now - self.last_check
         if not step >= 0:
             self._trip(f"the bench's clock went back by {-step:.4g} s")
-        if step > self._longest:
-            self._trip(f"the bench's clock went on by {step:.4g} s in one cycle; {self._longest:g} s are allowed")
-        self._in_a_row = self._in_a_row + 1 if self.last == self._late_at else 1
-        self._late_at = now
-        self._late.append(now)
-        while now - self._late[0] > self._overruns.window_s:
-            self._late.popleft()
+        if step > self._longest_step:
+            self._trip(f"the bench's clock went on by {step:.4g} s in one cycle; {self._longest_step:g} s are allowed")
+        self._in_a_row = self._in_a_row + 1 if self.last_check == self._last_overrun_at else 1
+        self._last_overrun_at = now
+        self._overrun_times.append(now)
+        while now - self._overrun_times[0] > self._overruns.window_s:
+            self._overrun_times.popleft()
         if self._in_a_row >= self._overruns.in_a_row:
             self._trip(f"{self._in_a_row} loop overruns in a row; fewer than {self._overruns.in_a_row} are allowed")
-        if len(self._late) > self._most:
+        if len(self._overrun_times) > self._most_overruns:
             self._trip(
-                f"{len(self._late)} loop overruns in {self._overruns.window_s:g} s;"
+                f"{len(self._overrun_times)} loop overruns in {self._overruns.window_s:g} s;"
                 f" {self._overruns.share_percent:g} % of the cycles are allowed"
             )

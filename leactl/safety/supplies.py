@@ -1,8 +1,8 @@
 """Supplies of direct current under supervision: limits of their output, and the heat in the leads that they feed.
 
 The measured current counts as heat. After a command, until two readings have come (the first may have been measured
-before the command), the commanded current counts if it is higher. A reading that is no number counts as the highest
-current of the supply.
+before the command), the commanded current counts if it is higher. A reading that is NaN counts as the highest current
+of the supply.
 """
 
 import math
@@ -19,38 +19,39 @@ from leactl.safety.thermal.measured import Leads
 
 QUANTITY = "line_current"
 FIRST_TRUSTED_READING = 2  # number of the first reading after a command that surely shows its effect
-MOST_ABOVE_ENDURED_S = 10.0  # for which readings may exceed what a winding endures: supplies settle, windings are slow
+# readings may exceed the current that a winding endures for less than this: supplies settle, and windings heat slowly
+MOST_ABOVE_ENDURED_S = 10.0
 Levels = tuple[str, float, float]  # role, V, A
 
 
 class Ending(NamedTuple):
-    """Protection level that ends the current of a supply left on, or the current that its winding endures."""
+    """What ends or limits the current of a supply that is left on."""
 
     trips_at: float | None = None  # V, of the supply's own protection
-    endured_current: float = math.inf  # A, that the winding endures
+    endured_current: float = math.inf  # A, that the winding endures for ever
 
 
 NEVER = Ending()
 
 
 @dataclass
-class _Fed:
-    """One supply at the leads of one role."""
+class _FedRole:
+    """One supply at the leads of one role, with the state of its supervision."""
 
     device: PowerSupply
     role: str
     stream: str
-    index: int  # of the current in a row of that stream
-    commanded: float = 0.0  # A, that may flow by the latest commands
-    flowing: float = 0.0  # A, that counts as heat
-    last: float = 0.0  # A, of the latest reading
+    channel_index: int  # of the current in a row of that stream
+    commanded_current: float = 0.0  # A, that may flow after the latest commands
+    heating_current: float = 0.0  # A, that counts as heat
+    last_reading: float = 0.0  # A, of the latest reading
     readings: int = 0  # since the latest command
     endured_current: float = math.inf  # A, that its winding endures if nobody switches it off
     above_since: float = math.nan  # s, since when readings are above `endured_current`
 
 
 class Supplies:
-    """The supplies of a bench that feed the leads of an actuator, one a role."""
+    """The supplies of a bench that feed the leads of an actuator, at most one for each role."""
 
     def __init__(
         self,
@@ -92,10 +93,10 @@ class Supplies:
         ------
         SafetyTrip : a trip is latched, the current is outside the limits, or more than the winding may carry now;
             nothing is passed on.
-        InputError : the role has no supply, or the supply cannot put that out; nothing is passed on.
+        InputError : the role has no supply, or the levels are outside what the supply can put out.
         """
         self._refuse_latched()
-        fed = self._of(role)
+        fed = self._fed_role(role)
         low, high = self._limits.of(QUANTITY) or (math.nan, math.nan)
         if not low <= current <= high:
             self._trip(f"{role} {QUANTITY} of {current:g} A is outside the limits ({low:.4g}, {high:.4g})")
@@ -121,24 +122,24 @@ class Supplies:
         InputError : the role has no supply.
         DeviceError : the line to the supply is gone.
         """
-        fed = self._of(role)
+        fed = self._fed_role(role)
         self._command(fed, 0.0)
         fed.device.switch_off()
 
     def supplying(self, role: str) -> bool:
-        """True from when the supply reports its output as on until it reports it as off.
+        """Return whether the supply of a role reports its output as on, or has not yet reported it as off.
 
         Raises
         ------
         InputError : the role has no supply.
         """
-        return self._of(role).device.supplying
+        return self._fed_role(role).device.supplying
 
     def cut(self) -> None:
-        """Switch off every supply that is on or may be; never raises."""
+        """Switch off every supply that is on or may be on; never raise."""
         for fed in self._fed.values():
             with suppress(Exception):  # a driver that breaks here is switched off by `make_safe`, and hides no trip
-                if fed.flowing or fed.device.supplying:
+                if fed.heating_current or fed.device.supplying:
                     self._command(fed, 0.0)
                     fed.device.switch_off()
 
@@ -152,20 +153,26 @@ class Supplies:
         fed = self._by_stream.get(row.stream)
         if fed is None:
             return
-        reading = abs(row.values[fed.index])
+        reading = abs(row.values[fed.channel_index])
         fed.readings += 1
-        # the larger of the last two readings flowed at some time in between
-        amperes = max(reading, fed.last) if reading == reading else fed.device.most[1]
-        fed.last = amperes if reading != reading else reading
-        self._count(fed, amperes if fed.readings >= FIRST_TRUSTED_READING else max(amperes, fed.commanded))
+        # between two readings the larger of the two counts
+        heating_current = max(reading, fed.last_reading) if reading == reading else fed.device.most[1]
+        fed.last_reading = heating_current if reading != reading else reading
+        self._count_current(
+            fed,
+            heating_current if fed.readings >= FIRST_TRUSTED_READING else max(heating_current, fed.commanded_current),
+        )
         if reading <= fed.endured_current:
             fed.above_since = math.nan
-        # a reading that is NaN neither begins nor ends it
+        # a reading that is NaN neither begins nor ends an excess
         elif reading > fed.endured_current and not row.time - fed.above_since < MOST_ABOVE_ENDURED_S:
-            self._give_too_much(fed, reading, row.time)
+            self._judge_excess(fed, reading, row.time)
 
-    def _give_too_much(self, fed: _Fed, reading: float, now: float) -> None:
-        """Note when a current above the endured one began, or trip: a supply left on may give more than its setting."""
+    def _judge_excess(self, fed: _FedRole, reading: float, now: float) -> None:
+        """Note when a reading [A] above the endured current came first, or trip if it came before.
+
+        A supply that is left on may give more than its setting.
+        """
         if math.isnan(fed.above_since):
             fed.above_since = now
             return
@@ -174,23 +181,24 @@ class Supplies:
             " if nobody switches it off: lower current_A, or attend the run"
         )
 
-    def _command(self, fed: _Fed, current: float) -> None:
-        """Count the higher of a commanded current [A] and the one that flows, until readings show its effect."""
-        fed.commanded, fed.readings = max(current, fed.flowing), 0
-        self._count(fed, fed.commanded)
+    def _command(self, fed: _FedRole, current: float) -> None:
+        """Count the higher of a commanded current [A] and the heating current until readings show the effect."""
+        fed.commanded_current, fed.readings = max(current, fed.heating_current), 0
+        self._count_current(fed, fed.commanded_current)
 
-    def _count(self, fed: _Fed, amperes: float) -> None:
-        fed.flowing = amperes
-        self._leads.tell(fed.role, fed.stream, amperes)
+    def _count_current(self, fed: _FedRole, heating_current: float) -> None:
+        """Have the thermal guard count a current [A] through the leads of a role from now on."""
+        fed.heating_current = heating_current
+        self._leads.tell(fed.role, fed.stream, heating_current)
 
-    def _of(self, role: str) -> _Fed:
+    def _fed_role(self, role: str) -> _FedRole:
         if role not in self._fed:
             raise InputError(f"no supply feeds the leads of {role}")
         return self._fed[role]
 
 
 def at_leads(devices: Iterable[Driver], roles: Iterable[str]) -> dict[str, PowerSupply]:
-    """The supply at the leads of each role that has one.
+    """Return the supply at the leads of each role that has one.
 
     Raises
     ------
@@ -199,8 +207,8 @@ def at_leads(devices: Iterable[Driver], roles: Iterable[str]) -> dict[str, Power
     return {role: fed.device for role, fed in _at_leads(devices, roles).items()}
 
 
-def _at_leads(devices: Iterable[Driver], roles: Iterable[str]) -> dict[str, _Fed]:
-    by_role: dict[str, _Fed] = {}
+def _at_leads(devices: Iterable[Driver], roles: Iterable[str]) -> dict[str, _FedRole]:
+    by_role: dict[str, _FedRole] = {}
     roles = tuple(roles)
     for device in devices:
         for stream in device.streams if isinstance(device, PowerSupply) else ():
@@ -209,5 +217,5 @@ def _at_leads(devices: Iterable[Driver], roles: Iterable[str]) -> dict[str, _Fed
                     if channel.role in by_role:
                         raise InputError(f"two supplies at the leads of {channel.role}; one was expected")
                     assert isinstance(device, PowerSupply)
-                    by_role[channel.role] = _Fed(device, channel.role, stream.name, index)
+                    by_role[channel.role] = _FedRole(device, channel.role, stream.name, index)
     return by_role

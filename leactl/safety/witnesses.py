@@ -22,12 +22,12 @@ from leactl.safety.thermal.box import Array, Box, Range
 from leactl.safety.watching import Panel, Trip
 
 TORQUE_CONSTANT_LOSS = 0.1  # by hot magnets (0.1 %/K) and saturation, at the most
-CONTRADICTING_WINDOWS = 3  # in a row, that trip: a blow to the shaft may fall into two of them
+CONTRADICTING_WINDOWS = 3  # so many in a row trip: a blow to the shaft may fall into two of them
 LEAST_WINDOW_CYCLES = 4
 STEADY_SHARE = 0.1  # share of the mean square by which a steady current may swing, or change between two windows
-GLANCE_CYCLES = 4  # every fourth cycle of a long window is checked first: if these agree plainly, the rest is skipped
+GLANCE_CYCLES = 4  # every fourth cycle of a long window is checked first: if they agree plainly, the others are skipped
 SENSED_ROLES = {"coupled": ("test", "load"), "locked": ("test",)}  # whose torques pass the sensor, by set-up
-MOST_NAMED = 2  # conventions in a message, the nearest of those that a contradiction allows
+MOST_NAMED_CONVENTIONS = 2  # in a message: the nearest of those that a contradiction allows
 CONVENTIONS = {
     math.sqrt(1.5): "sqrt(3/2), as where a phase amplitude is taken for q-axis current",
     math.sqrt(2.0): "sqrt(2), as where an rms value is taken for an amplitude",
@@ -40,11 +40,14 @@ CONVENTIONS = {
 }
 
 
-def conventions(least: float, ratio: float, most: float) -> str:
-    """Return the conventions whose factor lies in a range of true current over reading, the nearest first, as text."""
-    near = [factor for factor in CONVENTIONS if least <= factor <= most]
-    near.sort(key=lambda factor: abs(math.log(ratio / factor)))
-    return ", or ".join(CONVENTIONS[factor] for factor in near[:MOST_NAMED])
+def conventions(lowest_ratio: float, ratio: float, highest_ratio: float) -> str:
+    """Return the conventions whose factor lies between two ratios of true current to reading, the nearest first.
+
+    ratio : the most likely one.
+    """
+    matching_factors = [factor for factor in CONVENTIONS if lowest_ratio <= factor <= highest_ratio]
+    matching_factors.sort(key=lambda factor: abs(math.log(ratio / factor)))
+    return ", or ".join(CONVENTIONS[factor] for factor in matching_factors[:MOST_NAMED_CONVENTIONS])
 
 
 Ends = tuple[float, float]
@@ -82,7 +85,7 @@ class TorqueModel(NamedTuple):
 
 
 class ByTorque:
-    """Bounds of a current by the torque sensor between the actuators, and by friction and inertia of the rotor.
+    """Bounds of a current by the torque sensor between the actuators and by friction and inertia of the rotor.
 
     The friction of a rotor that turns acts against its motion. A rotor that rests or turns back may have any friction
     up to the highest, in either direction.
@@ -91,34 +94,34 @@ class ByTorque:
     label = "test torque"
 
     def __init__(self, settings: TorqueDisagreement, model: TorqueModel, sense: float) -> None:
-        """`sense` is 1 for the actuator whose torque the sensor shows, -1 for the one that takes it."""
+        """`sense` is 1 for the actuator whose torque the sensor shows, -1 for the actuator that takes this torque."""
         self._settings, self._model, self._sense = settings, model, sense
         # gathered once: `extremes` is computed for every window
         self._coulomb, self._viscous = model.coulomb_friction, model.viscous_damping
-        self._less, self._more = 1.0 - 0.01 * settings.share_percent, 1.0 + 0.01 * settings.share_percent
-        self._weakest = model.torque_constant * (1.0 - TORQUE_CONSTANT_LOSS)
+        self._low_factor, self._high_factor = 1.0 - 0.01 * settings.share_percent, 1.0 + 0.01 * settings.share_percent
+        self._lowest_torque_constant = model.torque_constant * (1.0 - TORQUE_CONSTANT_LOSS)
 
-    def currents(self, torque: Array, velocity: Array, before: float, period: float) -> Currents:
-        """Return bounds by torques [N*m] and velocities [rad/s], of cycles of `period` [s].
+    def currents(self, torque: Array, velocity: Array, previous_velocity: float, period: float) -> Currents:
+        """Return bounds by the torques [N*m] and velocities [rad/s] of some cycles of `period` [s].
 
-        `before` is the velocity at the end of the cycle before them [rad/s].
+        previous_velocity : velocity at the end of the cycle before them [rad/s].
         """
         model, coulomb, viscous = self._model, self._coulomb, self._viscous
         torques, speed = self._sense * torque, np.abs(velocity)
-        least, most = coulomb.low + viscous.low * speed, coulomb.high + viscous.high * speed
+        least_friction, most_friction = coulomb.low + viscous.low * speed, coulomb.high + viscous.high * speed
         if speed.min() > TURNING_RAD_S and abs(np.sign(velocity).sum()) == len(velocity):
-            torques = torques + 0.5 * (least + most) * np.sign(velocity)
-            uncertainty = 0.5 * (most - least)
+            torques = torques + 0.5 * (least_friction + most_friction) * np.sign(velocity)
+            uncertainty = 0.5 * (most_friction - least_friction)
         else:
-            uncertainty = most
-        acceleration = np.diff(velocity, prepend=before) / period
+            uncertainty = most_friction
+        acceleration = np.diff(velocity, prepend=previous_velocity) / period
         uncertainty = uncertainty + model.rotor_inertia * np.abs(acceleration) + self._settings.tolerance_Nm
         magnitude = np.abs(torques)
         return Currents(
             np.sign(torques),
-            np.maximum(magnitude * self._less - uncertainty, 0.0) / model.torque_constant,
+            np.maximum(magnitude * self._low_factor - uncertainty, 0.0) / model.torque_constant,
             magnitude / model.torque_constant,
-            (magnitude * self._more + uncertainty) / self._weakest,
+            (magnitude * self._high_factor + uncertainty) / self._lowest_torque_constant,
         )
 
     def direction(self, torque: float, _velocity: float) -> float:
@@ -132,25 +135,25 @@ class ByTorque:
         """
         coulomb, viscous = self._coulomb, self._viscous
         slowest, fastest = _magnitudes(*velocities)
-        most = coulomb.high + viscous.high * slowest
+        most_at_slowest = coulomb.high + viscous.high * slowest
         low, high = torques if self._sense > 0.0 else (-torques[1], -torques[0])
         if slowest > TURNING_RAD_S:
             least_friction, most_friction = coulomb.low + viscous.low * slowest, coulomb.high + viscous.high * fastest
             friction = (least_friction, most_friction) if velocities[0] > 0.0 else (-most_friction, -least_friction)
-            low, high, uncertainty = low + friction[0], high + friction[1], 0.5 * (most - least_friction)
+            low, high, uncertainty = low + friction[0], high + friction[1], 0.5 * (most_at_slowest - least_friction)
         else:
-            uncertainty = most
+            uncertainty = most_at_slowest
         uncertainty += self._settings.tolerance_Nm
         smallest, largest = _magnitudes(low, high)
-        least_torque = largest * self._less - uncertainty
+        least_torque = largest * self._low_factor - uncertainty
         return (
             least_torque / self._model.torque_constant if least_torque > 0.0 else 0.0,
-            (smallest * self._more + uncertainty) / self._weakest,
+            (smallest * self._high_factor + uncertainty) / self._lowest_torque_constant,
         )
 
 
 class ByVoltage:
-    """Bounds of a current by the q-axis voltage at a drive's terminals, less back-EMF, over the resistance."""
+    """Bounds of a current: the q-axis voltage at a drive's terminals less back-EMF, divided by the resistance."""
 
     def __init__(
         self, label: str, settings: VoltageDisagreement, back_emf_constant: float, resistances: Callable[[], Range]
@@ -158,18 +161,18 @@ class ByVoltage:
         self.label = label
         self._settings, self._back_emf_constant, self._resistances = settings, back_emf_constant, resistances
 
-    def currents(self, voltage: Array, velocity: Array, _before: float, _period: float) -> Currents:
+    def currents(self, voltage: Array, velocity: Array, _previous_velocity: float, _period: float) -> Currents:
         """Return bounds by the voltages [V] and velocities [rad/s] of some cycles."""
         share, resistance = 0.01 * self._settings.share_percent, self._resistances()
         back_emf = self._back_emf_constant * velocity
-        driving = voltage - back_emf
-        across = np.abs(driving)
+        driving_voltage = voltage - back_emf
+        driving_magnitude = np.abs(driving_voltage)
         uncertainty = share * (np.abs(voltage) + np.abs(back_emf)) + self._settings.tolerance_V
         return Currents(
-            np.sign(driving),
-            np.maximum(across - uncertainty, 0.0) / resistance.high,
-            across / math.sqrt(resistance.low * resistance.high),
-            (across + uncertainty) / resistance.low,
+            np.sign(driving_voltage),
+            np.maximum(driving_magnitude - uncertainty, 0.0) / resistance.high,
+            driving_magnitude / math.sqrt(resistance.low * resistance.high),
+            (driving_magnitude + uncertainty) / resistance.low,
         )
 
     def direction(self, voltage: float, velocity: float) -> float:
@@ -181,35 +184,38 @@ class ByVoltage:
 
         The part of the tolerance that grows with the voltage is left out: it widens the bounds of `currents`.
         """
-        resistance, (slow, fast) = self._resistances(), sorted(self._back_emf_constant * end for end in velocities)
-        smallest, largest = _magnitudes(voltages[0] - fast, voltages[1] - slow)
+        resistance, (lowest_back_emf, highest_back_emf) = (
+            self._resistances(),
+            sorted(self._back_emf_constant * end for end in velocities),
+        )
+        smallest, largest = _magnitudes(voltages[0] - highest_back_emf, voltages[1] - lowest_back_emf)
         tolerance = self._settings.tolerance_V
         return max(largest - tolerance, 0.0) / resistance.high, (smallest + tolerance) / resistance.low
 
 
-AGREES, LESS, MORE, TURNED = range(4)  # reading against true current; turned: of the opposite sign
+AGREES, LESS, MORE, TURNED = range(4)  # reading compared with the true current; TURNED: of the opposite sign
 
 
 @dataclass
 class Account:
-    """One drive's current with its second sensor and the latest verdicts."""
+    """One drive's current with its second sensor and the latest verdict."""
 
     label: str
     witness: ByTorque | ByVoltage
     panel: Panel
-    current: int  # index among the panel's values, as for the velocity
-    velocity: int
-    side: int = AGREES  # verdict of the last window
-    read: float = math.nan  # A^2, mean square of the reading in the last window that was judged in full
+    current_index: int  # among the panel's values
+    velocity_index: int  # among the panel's values
+    verdict: int = AGREES  # verdict of the last window
+    mean_square: float = math.nan  # A^2, mean square of the reading in the last window that was judged in full
     windows: int = 0  # in a row with that verdict
 
 
-EVIDENCE, VELOCITY, CURRENTS = range(3)  # columns of a log; the second drive's current comes last
-LoggedCycle = tuple[float, float, float, float]  # of one cycle
+EVIDENCE, VELOCITY, CURRENTS = range(3)  # columns of a log; the second drive's current follows the first drive's
+LoggedCycle = tuple[float, float, float, float]  # second sensor, velocity [rad/s] and two currents [A] in one cycle
 
 
 class Witnesses:
-    """Trips on the current of a drive that a second sensor contradicts for `CONTRADICTING_WINDOWS` in a row.
+    """Trips on the current of a drive that a second sensor contradicts in `CONTRADICTING_WINDOWS` in a row.
 
     Two drives that share the sensor share a shaft too, so that the velocity of the first serves both.
     """
@@ -218,9 +224,17 @@ class Witnesses:
         """`index` is the position of the second sensor's reading among the values of the panel `evidence`."""
         self._for_s, self._trip = for_s, trip
         self._accounts = accounts
-        # one drive's current is logged twice
+        # the current of a single drive is logged twice, so that a log always has four columns
         first, second = accounts[0], accounts[-1]
-        self._sources = evidence, index, first.panel, first.velocity, first.current, second.panel, second.current
+        self._sources = (
+            evidence,
+            index,
+            first.panel,
+            first.velocity_index,
+            first.current_index,
+            second.panel,
+            second.current_index,
+        )
         self._log: list[LoggedCycle] = []
         self._window = self.due = math.inf
         self._began, self._carried_over = 0.0, 0  # s, and rows of the last window that remain in the log
@@ -234,7 +248,7 @@ class Witnesses:
 
     @property
     def log_with_sources(self) -> tuple[list[LoggedCycle], Panel, int, Panel, int, int, Panel, int]:
-        """The log for each exchange, and its sources: three panels, each with the indices of its values."""
+        """The log, to which each exchange adds a row, and the panels of its columns with the indices of the values."""
         return self._log, *self._sources
 
     def look(self, now: float) -> None:
@@ -251,66 +265,86 @@ class Witnesses:
         """Judge every account over the window and begin the next one."""
         log = self._log
         cycles = len(log)
-        glanced = log[::GLANCE_CYCLES] if cycles >= GLANCE_CYCLES * GLANCE_CYCLES else log
-        columns = list(zip(*glanced, strict=True))
+        glanced_rows = log[::GLANCE_CYCLES] if cycles >= GLANCE_CYCLES * GLANCE_CYCLES else log
+        columns = list(zip(*glanced_rows, strict=True))
         ends = [(min(column), max(column)) for column in columns]
-        for current, account in enumerate(self._accounts, start=CURRENTS):
-            if not self._plainly_agrees(account, current, columns, ends):
-                self._judge_window(account, current, np.array(log), (now - self._began) / (cycles - self._carried_over))
+        for current_column, account in enumerate(self._accounts, start=CURRENTS):
+            if not self._plainly_agrees(account, current_column, columns, ends):
+                self._judge_window(
+                    account, current_column, np.array(log), (now - self._began) / (cycles - self._carried_over)
+                )
         self._carried_over = min(MOST_CYCLES_APART, cycles)
         del log[: -self._carried_over]
         self._began, self.due = now, now + self._window
 
     @staticmethod
     def _plainly_agrees(
-        account: Account, current: int, columns: Sequence[Sequence[float]], ends: Sequence[Ends]
+        account: Account, current_column: int, columns: Sequence[Sequence[float]], ends: Sequence[Ends]
     ) -> bool:
-        """Return whether the extremes of the readings show already that no sample contradicts another."""
+        """Return whether the extremes of the readings suffice to show that no current contradicts the second sensor.
+
+        columns, ends : values of each column of the log, and their extremes.
+        """
         witness = account.witness
         low, high = witness.extremes(ends[EVIDENCE], ends[VELOCITY])
-        smallest, largest = _magnitudes(*ends[current])
+        smallest, largest = _magnitudes(*ends[current_column])
         agrees = low <= smallest and largest <= high
         if agrees and low > 0.0:
-            agrees = witness.direction(sum(columns[EVIDENCE]), sum(columns[VELOCITY])) * sum(columns[current]) > 0.0
+            agrees = (
+                witness.direction(sum(columns[EVIDENCE]), sum(columns[VELOCITY])) * sum(columns[current_column]) > 0.0
+            )
         if agrees:
-            account.side = account.windows = AGREES
+            account.verdict = account.windows = AGREES
         return agrees
 
-    def _judge_window(self, account: Account, current: int, rows: Array, period: float) -> None:
-        """Judge one window; a window with a reading that is no number contradicts nothing."""
-        window, squares = rows[self._carried_over :], rows[:, current] ** 2
-        read = float(squares[self._carried_over :].mean())
-        # the sensors are not sampled at one moment: a current that changes may be read some cycles apart, and a sensor
-        # that is slower than the loop may catch every other sample of a swing
-        spread = MOST_CYCLES_APART / len(window) * float(squares.max() - squares.min())
-        apart = spread + (float(np.abs(np.diff(squares)).mean()) if len(squares) > 1 else 0.0)
+    def _judge_window(self, account: Account, current_column: int, rows: Array, period: float) -> None:
+        """Judge one window of cycles of `period` [s]; a window in which a reading is NaN contradicts nothing."""
+        window, squares = rows[self._carried_over :], rows[:, current_column] ** 2
+        mean_square = float(squares[self._carried_over :].mean())
+        # the sensors are not sampled at the same moment: a current that changes may be read some cycles apart, and a
+        # sensor that is slower than the loop may miss every other sample of a swing
+        sampling_spread = MOST_CYCLES_APART / len(window) * float(squares.max() - squares.min())
+        tolerance = sampling_spread + (float(np.abs(np.diff(squares)).mean()) if len(squares) > 1 else 0.0)
         velocity = window[:, VELOCITY]
-        before = float(rows[self._carried_over - 1, VELOCITY]) if self._carried_over else float(velocity[0])
-        currents = account.witness.currents(window[:, EVIDENCE], velocity, before, period)
+        previous_velocity = float(rows[self._carried_over - 1, VELOCITY]) if self._carried_over else float(velocity[0])
+        currents = account.witness.currents(window[:, EVIDENCE], velocity, previous_velocity, period)
         low, likely, high = (
-            float(each @ each) / len(window) for each in (currents.low, currents.likely, currents.high)
+            float(bound @ bound) / len(window) for bound in (currents.low, currents.likely, currents.high)
         )
-        along = float((currents.direction * currents.low) @ window[:, current]) / len(window)
-        side = TURNED if along < -apart else LESS if low > read + apart else MORE if read > high + apart else AGREES
-        changed = False
-        if side == MORE:  # a slow second sensor shows too little of a current that swings or changes, never too much
-            side = MORE if float(window[:, current].mean()) ** 2 >= (1.0 - STEADY_SHARE) * read else AGREES
-            changed = abs(read - account.read) > STEADY_SHARE * max(read, account.read)
-        account.read = read
-        goes_on = side == account.side != AGREES and not changed
-        account.windows = account.windows + 1 if goes_on else int(side != AGREES)
-        account.side = side
+        along_reading = float((currents.direction * currents.low) @ window[:, current_column]) / len(window)
+        verdict = (
+            TURNED
+            if along_reading < -tolerance
+            else LESS
+            if low > mean_square + tolerance
+            else MORE
+            if mean_square > high + tolerance
+            else AGREES
+        )
+        has_changed = False
+        if verdict == MORE:  # a slow second sensor shows too little of a current that swings or changes, never too much
+            verdict = (
+                MORE if float(window[:, current_column].mean()) ** 2 >= (1.0 - STEADY_SHARE) * mean_square else AGREES
+            )
+            has_changed = abs(mean_square - account.mean_square) > STEADY_SHARE * max(mean_square, account.mean_square)
+        account.mean_square = mean_square
+        is_repeated = verdict == account.verdict != AGREES and not has_changed
+        account.windows = account.windows + 1 if is_repeated else int(verdict != AGREES)
+        account.verdict = verdict
         if account.windows >= CONTRADICTING_WINDOWS:
-            self._contradict(account, *(math.sqrt(square) for square in (read, low, likely, high)))
+            self._contradict(account, *(math.sqrt(square) for square in (mean_square, low, likely, high)))
 
-    def _contradict(self, account: Account, read: float, low: float, likely: float, high: float) -> None:
-        named = conventions(low / read, likely / read, high / read) if read and likely else ""
-        bound = f"no more than {high:.4g} A" if account.side == MORE else f"no less than {low:.4g} A"
-        ratio = f"{likely / read:.3g} times as much{f', near {named}' if named else ''}; " if read else ""
-        if account.side == TURNED:
+    def _contradict(self, account: Account, reading: float, low: float, likely: float, high: float) -> None:
+        """Trip with a message that compares a reading with the currents by the second sensor [A], all rms values."""
+        convention = conventions(low / reading, likely / reading, high / reading) if reading and likely else ""
+        bound = f"no more than {high:.4g} A" if account.verdict == MORE else f"no less than {low:.4g} A"
+        ratio = (
+            f"{likely / reading:.3g} times as much{f', near {convention}' if convention else ''}; " if reading else ""
+        )
+        if account.verdict == TURNED:
             bound, ratio = f"{bound} and the other way", "is a sign turned, "
         self._trip(
-            f"{account.label} of {read:.4g} A contradicts {account.witness.label}, by which {likely:.4g} A flow,"
+            f"{account.label} of {reading:.4g} A contradicts {account.witness.label}, by which {likely:.4g} A flow,"
             f" {bound}, for {CONTRADICTING_WINDOWS * self._window:.3g} s: {ratio}is current_convention right, are both"
             " sensors whole?"
         )
@@ -329,15 +363,24 @@ def lone_sensors(
     lines = []
     for role, quantity in currents.items():
         if quantity == "line_current":
-            seconds = [("line_voltage", role, True, "its supply's voltage")]
+            second_sensors = [("line_voltage", role, True, "its supply's voltage")]
         else:
-            turns = ("velocity", role) in measured  # without which neither friction nor back-EMF is known
-            sensed = turns and role in SENSED_ROLES.get(setup, ())
+            # neither friction nor back-EMF is known without a velocity
+            has_velocity = ("velocity", role) in measured
+            torque_is_sensed = has_velocity and role in SENSED_ROLES.get(setup, ())
             by_torque, by_voltage = interlocks.torque_disagreement, interlocks.voltage_disagreement
-            seconds = [("torque", "test", by_torque is not None, "torque_disagreement")] if sensed else []
-            seconds += [("q_axis_voltage", role, by_voltage is not None, "voltage_disagreement")] if turns else []
-        available = [(watched, key) for second, whose, watched, key in seconds if (second, whose) in measured]
-        if any(watched for watched, _key in available):
+            second_sensors = (
+                [("torque", "test", by_torque is not None, "torque_disagreement")] if torque_is_sensed else []
+            )
+            second_sensors += (
+                [("q_axis_voltage", role, by_voltage is not None, "voltage_disagreement")] if has_velocity else []
+            )
+        available = [
+            (is_watched, key)
+            for second_quantity, channel_role, is_watched, key in second_sensors
+            if (second_quantity, channel_role) in measured
+        ]
+        if any(is_watched for is_watched, _key in available):
             continue
         hint = f"; interlocks.{available[0][1]} would hold a second one against it" if available else ""
         lines.append(

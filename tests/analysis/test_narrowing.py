@@ -60,7 +60,7 @@ def bound_of(motor):
     own = motor.tolerances
     box = Box.of(motor.model_copy(update={"tolerances": own.model_copy(update={"current": own.line_current})}))
     bound = ThermalBound([box], TOLD + own.ambient_K)
-    bound.step(HOLD_S, np.array([2.0 * READ_A**2]), np.array([0.5]), np.zeros(1), TOLD, late=0.0)
+    bound.step(HOLD_S, np.array([2.0 * READ_A**2]), np.array([0.5]), np.zeros(1), TOLD, delay=0.0)
     return float(bound.hottest()[0]), box
 
 

@@ -61,7 +61,7 @@ def test_a_trip_comes_early_enough_for_a_drive_that_goes_on(reserve):
     assert f"{reserve:g} s on; the limit is 120 degC" in cause
     bound = ThermalBound([Box.of(LEA)], 25.0)
     bound.set(guard.node_bounds["test"][:, None])
-    bound.step(reserve, np.array([400.0]), np.ones(1), np.zeros(1), 25.0, late=0.0)
+    bound.step(reserve, np.array([400.0]), np.ones(1), np.zeros(1), 25.0, delay=0.0)
     assert 116.0 < bound.hottest()[0] <= 120.0
 
 

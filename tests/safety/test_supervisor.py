@@ -94,7 +94,7 @@ def test_the_winding_is_heated_by_the_mean_square_of_the_current_at_any_rate(per
         for _ in range(round(0.22 / period)):  # 2.2 s in all: a cold bound is told of heat once a second
             bench.supervised_cycle(period)
     alone = ThermalBound([Box.of(LEA)], before)
-    alone.step(bench.clock.now() - began, np.array([200.0]), np.ones(1), np.zeros(1), 25.0, late=0.0)
+    alone.step(bench.clock.now() - began, np.array([200.0]), np.ones(1), np.zeros(1), 25.0, delay=0.0)
     bench.drive.close()
     assert bench.guard.hottest["test"] - before == pytest.approx(alone.hottest()[0] - before, rel=0.25)  # which is even
 

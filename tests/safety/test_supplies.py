@@ -179,7 +179,7 @@ def stepped(before, aligned):
     """Hottest phase [degC] after 20 s of 2 R I^2 with a share of (1 + aligned) / 3 in it."""
     alone = ThermalBound([Box.of(LEA)], 25.0)
     alone.set(before)
-    alone.step(20.0, np.array([2 * 81.0]), np.array([aligned]), np.zeros(1), 25.0, late=0.0)
+    alone.step(20.0, np.array([2 * 81.0]), np.array([aligned]), np.zeros(1), 25.0, delay=0.0)
     return alone.hottest()[0]
 
 

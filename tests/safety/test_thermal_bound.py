@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from leactl.errors import InputError
 from leactl.safety.thermal.box import Box
-from leactl.safety.thermal.temperature_bound import ThermalBound, inflow, lateness
+from leactl.safety.thermal.temperature_bound import ThermalBound, delay_bound, inflow
 from leactl.safety.thermal.turning import Rotor
 from tests.safety.phases import LEA, STEP_S, Plant, advance, follow
 
@@ -30,7 +30,7 @@ def bounded(currents, speeds, box=None, start=28.0):
         span = rotor.span(log, GUARD_S)
         fastest = np.max(np.abs(speeds[part])) * ONE
         heats = span.square / GUARD_S * ONE, span.aligned * ONE, fastest
-        bound.step(GUARD_S, *heats, 25.0, span.late(bound.decay_s) * ONE)
+        bound.step(GUARD_S, *heats, 25.0, span.delay(bound.decay_s) * ONE)
         found.append(bound.nodes()[:, 0])
     return np.array(found).T
 
@@ -68,7 +68,7 @@ def test_heat_that_comes_late_leaves_no_more_behind_than_its_lateness_says(durat
     edges = np.exp(-rate * (duration - at))
     left, even = np.dot(np.diff(edges), heat) / np.diff(at)[0], (1.0 - edges[0]) / duration * np.sum(heat)
     behind = np.average(0.5 * (at[1:] + at[:-1]), weights=heat) - 0.5 * duration
-    late = lateness(max(behind, 0.0), duration, 0.0, 1.0 / rate)
+    late = delay_bound(max(behind, 0.0), duration, 0.0, 1.0 / rate)
     assert left <= even * (1.0 + rate * late) * (1.0 + 1e-9)
     assert late <= duration
 
@@ -145,7 +145,7 @@ def test_the_steps_of_the_guard_end_where_constant_heat_leads():
     bound.settle(current**2 * ONE, ONE, 0.0 * ONE, 25.0)
     end = bound.hottest()[0]
     bound = ThermalBound([Box.of(LEA)], 28.0)
-    bound.step(far, current**2 * ONE, ONE, 0.0 * ONE, 25.0, late=0.0)
+    bound.step(far, current**2 * ONE, ONE, 0.0 * ONE, 25.0, delay=0.0)
     for _ in range(3000):
         bound.step(GUARD_S, current**2 * ONE, ONE, 0.0 * ONE, 25.0)
     assert end <= bound.hottest()[0] < end + 2.0

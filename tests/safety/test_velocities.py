@@ -12,7 +12,7 @@ from leactl.safety.thermal.turning import SensedMotion
 STEP_S = 0.125
 STEPS = 4  # of `for_s`
 SETTINGS = VelocityDisagreement(tolerance_rad_s=0.2, share_percent=5.0, for_s=STEPS * STEP_S)
-APART = SensedMotion(difference=0.71, speed=10.0, unsteady=0.0)
+APART = SensedMotion(difference=0.71, speed=10.0, unsteadiness=0.0)
 
 
 class LookedAtRotor:

@@ -47,20 +47,20 @@ class Box:
     housing_capacitance: Range
     viscous_damping: Range
     coulomb_friction: Range
-    current_gain: float  # true current over its reading, at the most
-    ambient_rise: float  # K, of the true ambient over the one in the bench file, at the most
+    current_gain: float  # largest ratio of the true current to its reading
+    ambient_rise: float  # K, largest excess of the true ambient over that of the bench file
     winding_limit: float  # degC, of the hottest phase
-    temperature_rise: float  # share of the true rise above ambient that the network's may lack
+    temperature_rise: float  # share of the true rise above ambient by which the network's rise may be too small
 
-    def limit(self, also: float, ambient: float) -> float:
-        """Return the limit of the network's hottest phase [degC] that keeps the true one below the motor's limit.
+    def limit(self, other_limit: float, ambient: float) -> float:
+        """Return the limit of the network's hottest phase [degC] that keeps the true phase below the motor's limit.
 
         Parameters
         ----------
-        also : another limit of the true temperature [degC].
-        ambient : as in the bench file [degC]; the rise is largest where the true ambient is lowest.
+        other_limit : another limit of the true temperature [degC].
+        ambient : temperature of the air as in the bench file [degC]; the true rise is largest in the coldest air.
         """
-        limit = min(self.winding_limit, also)
+        limit = min(self.winding_limit, other_limit)
         return limit - self.temperature_rise * (limit - (ambient - self.ambient_rise))
 
     @classmethod
@@ -77,32 +77,33 @@ class Box:
                 f"motor '{motor.name}': no `tolerances:`; a bound of its winding's temperature has to know how far off"
                 " each parameter may be"
             )
-        return cls._around(motor, tolerances.model_dump())
+        return cls._from_tolerances(motor, tolerances.model_dump())
 
     @classmethod
     def exact(cls, motor: Motor) -> "Box":
         """Return a box without width, which holds the values of the motor file."""
-        return cls._around(motor, {})
+        return cls._from_tolerances(motor, {})
 
     @classmethod
     def favourable(cls, motor: Motor) -> "Box":
         """Return the corner of the box at which an actuator stays coolest, as a box without width."""
-        whole = cls.of(motor)
-        values = {name: getattr(whole, name) for name in cls.__annotations__}
-        ranges = {name: value for name, value in values.items() if isinstance(value, Range)}
+        box = cls.of(motor)
+        fields = {name: getattr(box, name) for name in cls.__annotations__}
+        ranges = {name: value for name, value in fields.items() if isinstance(value, Range)}
         corner = {
-            name: Range(end, end)
+            name: Range(corner_value, corner_value)
             for name, bounds in ranges.items()
-            for end in [bounds.high if name.endswith("capacitance") else bounds.low]
+            for corner_value in [bounds.high if name.endswith("capacitance") else bounds.low]
         }
-        cool = {"current_gain": 2.0 - whole.current_gain, "ambient_rise": -whole.ambient_rise}
-        return cls(**values | corner | cool | {"temperature_rise": -whole.temperature_rise})
+        least_factors = {"current_gain": 2.0 - box.current_gain, "ambient_rise": -box.ambient_rise}
+        return cls(**fields | corner | least_factors | {"temperature_rise": -box.temperature_rise})
 
     @classmethod
-    def _around(cls, motor: Motor, tolerances: dict[str, float]) -> "Box":
-        whole = motor.model_dump()
-        values = whole | whole["thermal"]
-        names = [name for name, kind in cls.__annotations__.items() if kind is Range]
+    def _from_tolerances(cls, motor: Motor, tolerances: dict[str, float]) -> "Box":
+        """Return the box of a motor with tolerances by parameter name; a parameter without one has no width."""
+        motor_fields = motor.model_dump()
+        values = motor_fields | motor_fields["thermal"]
+        names = [name for name, annotation in cls.__annotations__.items() if annotation is Range]
         ranges = {name: Range.around(values[name], tolerances.get(name, 0.0)) for name in names}
         return cls(
             **ranges,

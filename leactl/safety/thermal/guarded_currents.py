@@ -1,7 +1,7 @@
 """Currents and torques that an actuator can carry: continuous ones, and peaks against duration.
 
-Each figure comes three times: guaranteed over the tolerances of the motor file, by the values of the file, and at the
-most favourable corner of the box.
+Each figure is given three times: guaranteed over the tolerances of the motor file, by the values of the file, and at
+the most favourable corner of the box.
 """
 
 import math
@@ -14,11 +14,11 @@ from leactl.model.motor import Motor
 from leactl.safety.thermal.box import Array, Box
 from leactl.safety.thermal.temperature_bound import ThermalBound
 
-TIME_STEPS = 400  # of time, up to the longest peak
+TIME_STEPS = 400  # up to the longest duration of a peak
 CURRENT_COUNT = 200
 LEAST_CURRENT_A, HIGHEST_CURRENT_A = 0.5, 500.0
 FIRST_STEP_S = 0.02
-FOLLOWED_SHARE = 0.5  # of the rise to the limit: how far above the limit a current is followed
+FOLLOWED_SHARE = 0.5  # of the rise to the limit: a current is followed up to this far above the limit
 TURNING, STANDING = 0.0, 1.0
 PEAKS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 60.0, 300.0)
 
@@ -46,10 +46,10 @@ class ContinuousLimits:
 class Nominal:
     """Currents [A] that take the hottest phase to its limit, by the values of the motor file."""
 
-    slowly: float  # for ever, turning
+    slowly: float  # for ever, turning slowly
     standing: float  # for ever, at one angle
-    peaks: tuple[float, ...]  # once, turning slowly, for each duration
-    standing_peaks: tuple[float, ...]  # the same at one angle
+    peaks: tuple[float, ...]  # once for each duration, turning slowly
+    standing_peaks: tuple[float, ...]  # once for each duration, at one angle
 
 
 @dataclass(frozen=True)
@@ -74,20 +74,22 @@ def continuous_current(motor: Motor, ambient: float, aligned: float, speed: floa
     ------
     InputError : the motor file has no tolerances.
     """
-    hottest = settled_temperature(ambient, aligned, speed)
-    return Carried(*(current_at_limit(box, box.limit(math.inf, ambient), ambient, hottest) for box in _boxes(motor)))
+    settled_hottest = settled_temperature(ambient, aligned, speed)
+    return Carried(
+        *(current_at_limit(box, box.limit(math.inf, ambient), ambient, settled_hottest) for box in _boxes(motor))
+    )
 
 
 def continuous(motor: Motor, ambient: float, speeds: Sequence[float]) -> list[ContinuousLimits]:
-    """Return continuous currents and torques turning slowly, standing, and at these speeds [rad/s]; ambient in degC.
+    """Return what may be carried turning slowly, standing, and at each of these speeds [rad/s]; ambient in degC.
 
     Raises
     ------
     InputError : the motor file has no tolerances.
     """
-    kinds = [("slowly", TURNING, 0.0), ("standing", STANDING, 0.0)]
-    kinds += [(f"{speed:g} rad/s", TURNING, speed) for speed in speeds]
-    currents = [(name, speed, continuous_current(motor, ambient, aligned, speed)) for name, aligned, speed in kinds]
+    motions = [("slowly", TURNING, 0.0), ("standing", STANDING, 0.0)]
+    motions += [(f"{speed:g} rad/s", TURNING, speed) for speed in speeds]
+    currents = [(name, speed, continuous_current(motor, ambient, aligned, speed)) for name, aligned, speed in motions]
     return [ContinuousLimits(name, speed, current, torque(motor, current)) for name, speed, current in currents]
 
 
@@ -119,36 +121,41 @@ def nominal(motor: Motor, ambient: float, durations: Sequence[float]) -> Nominal
 def _peak_currents(box: Box, ambient: float, durations: Sequence[float], aligned: float = STANDING) -> list[float]:
     """Return the largest current [A] for each duration [s], by many currents stepped side by side.
 
-    Interpolated along a chord between two of them, which lies above the convex temperature over current.
+    Between two of them it is interpolated along a chord, which lies above the temperature, a convex function of the
+    current: the interpolated current is never too large.
     """
     limit = box.limit(math.inf, ambient)
     currents = np.geomspace(LEAST_CURRENT_A, HIGHEST_CURRENT_A, CURRENT_COUNT)
     bound = ThermalBound([box] * CURRENT_COUNT, ambient + box.ambient_rise)
     speeds, alignments = np.zeros(CURRENT_COUNT), np.full(CURRENT_COUNT, aligned)
-    beyond = limit + FOLLOWED_SHARE * (limit - ambient)
-    followed, hottest, last = np.ones(CURRENT_COUNT, bool), np.zeros(CURRENT_COUNT), 0.0
+    followed_up_to = limit + FOLLOWED_SHARE * (limit - ambient)
+    is_followed, hottest, previous_time = np.ones(CURRENT_COUNT, bool), np.zeros(CURRENT_COUNT), 0.0
     by_duration = {}
     for time in np.union1d(np.geomspace(FIRST_STEP_S, max(durations), TIME_STEPS), durations):
-        bound.step(time - last, np.where(followed, currents, 0.0) ** 2, alignments, speeds, ambient, late=0.0)
-        followed &= bound.hottest() < beyond
-        hottest, last = np.where(followed, bound.hottest(), np.inf), time
+        bound.step(
+            time - previous_time, np.where(is_followed, currents, 0.0) ** 2, alignments, speeds, ambient, delay=0.0
+        )
+        is_followed &= bound.hottest() < followed_up_to
+        hottest, previous_time = np.where(is_followed, bound.hottest(), np.inf), time
         if time in durations:
-            by_duration[time] = _below(limit, currents, hottest)
+            by_duration[time] = _highest_below(limit, currents, hottest)
     return [by_duration[duration] for duration in durations]
 
 
-def _below(limit: float, currents: Array, hottest: Array) -> float:
-    """Return the highest current [A] that does not pass the limit.
+def _highest_below(limit: float, currents: Array, hottest: Array) -> float:
+    """Return the highest current [A] that does not take the hottest phase past the limit [degC].
 
-    It is interpolated up to the lowest current above the limit; where that one is no longer followed, it is the highest
-    of `currents` below the limit.
+    It is interpolated up to the lowest current above the limit. If that current is no longer followed, it is the
+    highest of `currents` below the limit.
+
+    hottest : temperature of the hottest phase [degC] at each of `currents` [A]; infinite if no longer followed.
     """
-    above = int(np.argmax(hottest >= limit)) if (hottest >= limit).any() else len(currents)
-    if above == 0:
+    first_above = int(np.argmax(hottest >= limit)) if (hottest >= limit).any() else len(currents)
+    if first_above == 0:
         return 0.0
-    neighbours = slice(above - 1, above + 1)
-    if above == len(currents) or not np.isfinite(hottest[above]):
-        return float(currents[above - 1])
+    neighbours = slice(first_above - 1, first_above + 1)
+    if first_above == len(currents) or not np.isfinite(hottest[first_above]):
+        return float(currents[first_above - 1])
     return float(np.interp(limit, hottest[neighbours], currents[neighbours]))
 
 
@@ -171,20 +178,28 @@ def settled_temperature(ambient: float, aligned: float, speed: float) -> Callabl
     return hottest
 
 
-def current_at_limit(box: Box, limit: float, ambient: float, hottest: Callable[[ThermalBound, float], float]) -> float:
-    """Return the current that takes the hottest phase to its limit [A]; 0 if `LEAST_CURRENT_A` takes it there."""
+def current_at_limit(
+    box: Box, limit: float, ambient: float, settled_hottest: Callable[[ThermalBound, float], float]
+) -> float:
+    """Return the current [A] that takes the hottest phase to its limit; 0 if `LEAST_CURRENT_A` takes it there.
+
+    settled_hottest : a function of `settled_temperature`.
+    """
     from scipy.optimize import brentq
 
     bound = ThermalBound([box], ambient)
 
-    def over(current: float) -> float:
-        return min(hottest(bound, current), 1e6) - limit
+    def excess(current: float) -> float:
+        return min(settled_hottest(bound, current), 1e6) - limit
 
-    most = LEAST_CURRENT_A
-    while over(most) < 0.0:
-        most *= 2.0
-    return float(brentq(over, 0.5 * most, most, xtol=1e-4)) if most > LEAST_CURRENT_A else 0.0
+    highest_tried = LEAST_CURRENT_A
+    while excess(highest_tried) < 0.0:
+        highest_tried *= 2.0
+    return (
+        float(brentq(excess, 0.5 * highest_tried, highest_tried, xtol=1e-4)) if highest_tried > LEAST_CURRENT_A else 0.0
+    )
 
 
 def _boxes(motor: Motor) -> tuple[Box, Box, Box]:
+    """Return the box of a motor file, its nominal values and its favourable corner, in the order of `Carried`."""
     return Box.of(motor), Box.exact(motor), Box.favourable(motor)

@@ -13,11 +13,11 @@ from leactl.safety.thermal.guard import ThermalGuard
 from leactl.safety.thermal.resistance import LeadResistance
 from leactl.safety.thermal.temperature_bound import HOUSING
 
-SENSOR_ERROR_K = 5.0  # by which a camera or a thermistor may read too high
+SENSOR_ERROR_K = 5.0  # a camera or a thermistor may read too high by as much
 
 
 class Leads:
-    """Direct currents through the leads of each role; of several sources for one role the largest current heats."""
+    """Direct currents through the leads of each role; if several sources report one role, the largest counts."""
 
     def __init__(self, guard: ThermalGuard) -> None:
         self._guard = guard
@@ -34,7 +34,7 @@ class Leads:
 class MeasuredStreams:
     """Streams that measure temperatures of windings, housings and air, or current and voltage of the leads.
 
-    A reading that no actuator of the guard's boxes can have trips, by way of `trip`.
+    It calls `trip` on a reading that no actuator within the guard's boxes can have.
     """
 
     def __init__(
@@ -44,39 +44,51 @@ class MeasuredStreams:
         trip: Callable[[str], object],
         leads: Leads | None = None,
     ) -> None:
-        self._guard, self._trip, self._currents = guard, trip, leads or Leads(guard)
-        self._looks = {stream.name: looks for stream in streams if (looks := list(self._looks_at(stream)))}
+        self._guard, self._trip, self._leads = guard, trip, leads or Leads(guard)
+        self._comparisons = {
+            stream.name: comparisons for stream in streams if (comparisons := list(self._comparisons_of(stream)))
+        }
 
     @property
     def streams(self) -> frozenset[str]:
         """Names of the streams that measure anything for the guard."""
-        return frozenset(self._looks)
+        return frozenset(self._comparisons)
 
     def look(self, row: Row) -> None:
-        """Compare a row with the guard; a value that is no number passes, its age is checked elsewhere."""
-        for look in self._looks.get(row.stream, ()):
-            look(row)
+        """Compare a row with the guard's bounds; a value that is NaN passes, since its age is checked elsewhere.
+
+        Raises
+        ------
+        SafetyTrip : by way of `trip`.
+        """
+        for compare in self._comparisons.get(row.stream, ()):
+            compare(row)
 
     def look_through(self, block: SampleBlock) -> None:
-        """Compare the rows of a block with the guard, where their stream measures anything for it."""
-        if block.stream in self._looks:
+        """Compare the rows of a block with the guard's bounds if their stream measures anything for the guard.
+
+        Raises
+        ------
+        SafetyTrip : by way of `trip`.
+        """
+        if block.stream in self._comparisons:
             for row in block.rows():
                 self.look(row)
 
-    def _looks_at(self, stream: StreamSpec) -> Iterator[Callable[[Row], None]]:
+    def _comparisons_of(self, stream: StreamSpec) -> Iterator[Callable[[Row], None]]:
         """Yield a function for each comparison that the channels of a stream allow."""
-        comparisons = {
+        compare_by_quantity = {
             "winding_temperature": self._compare_winding,
             "housing_temperature": self._compare_housing,
-            "line_current": self._tell_leads,
+            "line_current": self._set_lead_current,
         }
         indices = {(channel.role, channel.quantity): index for index, channel in enumerate(stream.channels)}
         for (_role, quantity), index in indices.items():
             if quantity == "ambient_temperature":
                 yield partial(self._compare_air, index)
         for (role, quantity), index in indices.items():
-            if role in self._guard.roles and quantity in comparisons:
-                yield partial(comparisons[quantity], role, index)
+            if role in self._guard.roles and quantity in compare_by_quantity:
+                yield partial(compare_by_quantity[quantity], role, index)
         for role in self._guard.roles:
             voltage, current = indices.get((role, "line_voltage")), indices.get((role, "line_current"))
             if voltage is not None and current is not None:
@@ -84,11 +96,11 @@ class MeasuredStreams:
 
     def _compare_air(self, index: int, row: Row) -> None:
         ambient = self._guard.ambient
-        most = ambient + min(box.ambient_rise for box in self._guard.boxes.values()) + SENSOR_ERROR_K
-        if row.values[index] > most:
+        highest_expected = ambient + min(box.ambient_rise for box in self._guard.boxes.values()) + SENSOR_ERROR_K
+        if row.values[index] > highest_expected:
             self._trip(
-                f"the air is measured at {row.values[index]:.1f} degC; {most:.1f} degC at the most was expected where"
-                f" the bench file tells {ambient:g} degC: correct its ambient_temperature_degC"
+                f"the air is measured at {row.values[index]:.1f} degC; {highest_expected:.1f} degC at the most was"
+                f" expected where the bench file tells {ambient:g} degC: correct its ambient_temperature_degC"
             )
 
     def _compare_winding(self, role: str, index: int, row: Row) -> None:
@@ -98,17 +110,18 @@ class MeasuredStreams:
         self._compare(role, "housing is measured", row.values[index], float(self._guard.node_bounds[role][HOUSING]))
 
     def _compare_resistance(self, role: str, voltage: int, current: int, leads: LeadResistance, row: Row) -> None:
-        least = leads.least(row.values[voltage], row.values[current], row.time)
-        self._compare(role, "winding is by its resistance", least, self._guard.hottest[role])
+        lowest_temperature = leads.least(row.values[voltage], row.values[current], row.time)
+        self._compare(role, "winding is by its resistance", lowest_temperature, self._guard.hottest[role])
 
-    def _compare(self, role: str, part: str, reading: float, bound: float) -> None:
+    def _compare(self, role: str, measured_part: str, reading: float, bound: float) -> None:
+        """Trip if a temperature [degC] is further above its bound [degC] than a sensor's error explains."""
         if reading > bound + SENSOR_ERROR_K:
             self._trip(
-                f"{role} {part} at {reading:.1f} degC, and no actuator inside its motor file's tolerances"
+                f"{role} {measured_part} at {reading:.1f} degC, and no actuator inside its motor file's tolerances"
                 f" can be above {bound:.1f} degC: cooling, tolerances or sensor are not what they are taken to be"
             )
 
-    def _tell_leads(self, role: str, index: int, row: Row) -> None:
+    def _set_lead_current(self, role: str, index: int, row: Row) -> None:
         reading = row.values[index]
         if reading == reading:
-            self._currents.tell(role, row.stream, reading)
+            self._leads.tell(role, row.stream, reading)

@@ -9,30 +9,37 @@ import math
 from leactl.safety.thermal.box import Box
 
 LEAST_CURRENT_A = 1.0  # below, offsets are a large part of the current reading
-WINDOW_S = 1.0  # whose lowest reading counts: voltage and current are not read at one moment
+# the lowest reading of a window counts: voltage and current are not read at the same moment
+WINDOW_S = 1.0
 
 
 class LeadResistance:
-    """Resistance between one pair of leads, followed reading by reading."""
+    """Lowest winding temperature by the resistance between two leads, window by window."""
 
     def __init__(self, box: Box) -> None:
-        self._cold = 2.0 * box.phase_resistance.high
-        self._rise, self._reference = box.resistance_coefficient.high, box.reference_temperature
-        self._since, self._least = math.nan, math.inf
+        self._highest_reference_resistance = 2.0 * box.phase_resistance.high
+        self._highest_coefficient, self._reference_temperature = (
+            box.resistance_coefficient.high,
+            box.reference_temperature,
+        )
+        self._window_began, self._lowest_temperature = math.nan, math.inf
 
     def least(self, voltage: float, current: float, now: float) -> float:
-        """Take one reading [V, A, s]; return the lowest temperature that the last `WINDOW_S` allow [degC].
+        """Take one reading [V, A, s]; return the lowest temperature that the readings of a window allow [degC].
 
-        NaN until that time has passed, and where the current is below `LEAST_CURRENT_A` or a reading is NaN.
+        Return NaN except at the end of each window of `WINDOW_S`. A current below `LEAST_CURRENT_A` or a reading that
+        is NaN ends the window early.
         """
         if not abs(current) >= LEAST_CURRENT_A or voltage != voltage:
-            self._since, self._least = math.nan, math.inf
+            self._window_began, self._lowest_temperature = math.nan, math.inf
             return math.nan
-        if not self._since <= now:
-            self._since = now
-        warmth = (abs(voltage / current) / self._cold - 1.0) / self._rise
-        self._least = min(self._least, self._reference + warmth)
-        if now - self._since < WINDOW_S:
+        if not self._window_began <= now:
+            self._window_began = now
+        temperature_rise = (
+            abs(voltage / current) / self._highest_reference_resistance - 1.0
+        ) / self._highest_coefficient
+        self._lowest_temperature = min(self._lowest_temperature, self._reference_temperature + temperature_rise)
+        if now - self._window_began < WINDOW_S:
             return math.nan
-        lowest, self._since, self._least = self._least, now, math.inf
-        return lowest
+        lowest_of_window, self._window_began, self._lowest_temperature = self._lowest_temperature, now, math.inf
+        return lowest_of_window
