@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def check_analysis(plan: Plan, name: str) -> None:
-    """Refuse an unknown analysis, and limits on results that the analysis does not have or has in other units.
+    """Raise InputError for an unknown analysis, and for limits on results that it lacks or gives in other units.
 
     Parameters
     ----------
@@ -32,19 +32,19 @@ def check_analysis(plan: Plan, name: str) -> None:
     from leactl.analysis.analyze import is_known, names, results_of
     from leactl.runfile.catalog.summaries import analysis_in
 
-    asked = analysis_in(plan.text)
+    named_analysis = analysis_in(plan.text)
     limits = {number: limit for number, limit in enumerate(plan.acceptance) if isinstance(limit, Acceptance)}
-    if not (asked or limits):
+    if not (named_analysis or limits):
         return
     document = yamlfile.parse(plan.text, name)
-    if not is_known(asked or plan.name):
+    if not is_known(named_analysis or plan.name):
         known = f"known: {', '.join(names())}"
-        if asked:
-            raise InputError(document.fault(("analysis",), f"'{asked}' is not known; {known}"))
+        if named_analysis:
+            raise InputError(document.fault(("analysis",), f"'{named_analysis}' is not known; {known}"))
         message = f"the protocol names no analysis to judge them by; {known}; limits on channels need none"
         raise InputError(document.fault(("acceptance",), message))
-    results = results_of(asked or plan.name)
-    misfits = {number: _misfit(limit, asked or plan.name, results) for number, limit in limits.items()}
+    results = results_of(named_analysis or plan.name)
+    misfits = {number: _misfit(limit, named_analysis or plan.name, results) for number, limit in limits.items()}
     faults = [document.fault(("acceptance", number, fault[0]), fault[1]) for number, fault in misfits.items() if fault]
     if faults:
         raise InputError(faults)
@@ -63,12 +63,15 @@ def _misfit(limit: Acceptance, experiment: str, results: Mapping[str, str]) -> t
 
 
 def judge_all(plan: Plan, outcome: "Outcome") -> tuple[list[dict[str, Any]], list[str]]:
-    """Return a row for every limit of a run, of channels alone if it failed, and a line for each unmet limit."""
+    """Return a row for every limit of a run, and a line for each unmet limit on a result or channel.
+
+    If the run failed, the rows are those of limits on channels, and there are no lines.
+    """
     rows: list[dict[str, Any]] = [dict(verdict.row) for verdict in outcome.verdicts]
     if outcome.error is not None or not plan.acceptance:
         return rows, []
-    judged, unmet = judge(plan, outcome.path)
-    return rows + judged, unmet
+    judged_rows, unmet = judge(plan, outcome.path)
+    return rows + judged_rows, unmet
 
 
 def judge(plan: Plan, run: Path) -> tuple[list[dict[str, Any]], list[str]]:
@@ -86,23 +89,23 @@ def judge(plan: Plan, run: Path) -> tuple[list[dict[str, Any]], list[str]]:
         unmet = [f"acceptance: {event.message}" for event in events]
     if not limits:
         return [], unmet
-    answer: Result | InputError
+    result: Result | InputError
     try:
-        answer = analyze_runs([run])
+        result = analyze_runs([run])
     except InputError as fault:  # the run is recorded, but its analysis fails
-        answer = fault
-    judged = [_judged(limit, answer) for limit in limits]
-    return [row for row, _line in judged], [*unmet, *(f"acceptance: {line}" for _row, line in judged if line)]
+        result = fault
+    judgements = [_judgement(limit, result) for limit in limits]
+    return [row for row, _line in judgements], [*unmet, *(f"acceptance: {line}" for _row, line in judgements if line)]
 
 
-def _judged(limit: Acceptance, answer: "Result | InputError") -> tuple[dict[str, Any], str]:
-    """Return the row of a limit, in the unit of the limit if possible, and what is wrong, or an empty string."""
+def _judgement(limit: Acceptance, analysed: "Result | InputError") -> tuple[dict[str, Any], str]:
+    """Return the row of a limit, in the unit of the limit if possible, and why it is unmet, or an empty string."""
     row: dict[str, Any] = {"result": limit.result, "value": None, "units": limit.unit, "met": False}
     bounds = f"{limit.low:g} to {limit.high:g} was required"
     try:
-        if isinstance(answer, InputError):
-            raise answer
-        result = answer.find(limit.result)
+        if isinstance(analysed, InputError):
+            raise analysed
+        result = analysed.find(limit.result)
     except InputError as fault:
         return row, f"{limit.result} is not known, {bounds}: {fault}"
     factor = _factor(result.units, limit.unit)
@@ -115,15 +118,15 @@ def _judged(limit: Acceptance, answer: "Result | InputError") -> tuple[dict[str,
     return row, "" if row["met"] else f"{summary}, {bounds}"
 
 
-def _factor(units: str, wanted: str) -> float | None:
-    """Return the factor from these units to the wanted one; None if the two measure different quantities.
+def _factor(units: str, wanted_units: str) -> float | None:
+    """Return the factor from these units to the wanted units; None if the two measure different quantities.
 
     Units with another zero count as a different quantity: a result in K is a rise, no temperature in degC.
     """
-    if units == wanted:
+    if units == wanted_units:
         return 1.0
     for table in (*CONVERSIONS.values(), {unit: (scale, 0.0) for unit, scale in SECONDS.items()}):
-        if units in table and wanted in table:
-            (scale, zero), (wanted_scale, wanted_zero) = table[units], table[wanted]
+        if units in table and wanted_units in table:
+            (scale, zero), (wanted_scale, wanted_zero) = table[units], table[wanted_units]
             return scale / wanted_scale if zero == wanted_zero else None
     return None

@@ -35,7 +35,7 @@ def held_by(word: str, bench: str) -> Held:
     DeviceError : a run or another reset holds the bench.
     """
     with locks.idle(bench):
-        return _look(word, bench)
+        return _what_holds(word, bench)
 
 
 def release(word: str, bench: str, shown: Held) -> None:
@@ -49,7 +49,7 @@ def release(word: str, bench: str, shown: Held) -> None:
         bench stays held.
     """
     with locks.idle(bench):
-        if _look(word, bench) != shown:
+        if _what_holds(word, bench) != shown:
             raise SafetyTrip(f"what holds bench '{bench}' has changed meanwhile; nothing was released")
         for run in shown.unlatched:
             runs_underway.forget(run.lost)
@@ -57,7 +57,8 @@ def release(word: str, bench: str, shown: Held) -> None:
             held_latch.release()
 
 
-def _look(word: str, bench: str) -> Held:
+def _what_holds(word: str, bench: str) -> Held:
+    """Latch a bench for its lost runs, and return what holds it."""
     # in this order: `tripped_latches` reads the latches that `latch_lost_runs` writes
     unlatched = latch.latch_lost_runs(bench)
     return Held(latch.tripped_latches(word), unlatched)

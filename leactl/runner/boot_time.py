@@ -19,7 +19,7 @@ PROCESS_TOKEN = secrets.token_hex()  # replaces the identifier of the boot on sy
 
 @dataclass(frozen=True)
 class ClockReadings:
-    """One moment by the wall clock and by the kernel's."""
+    """One moment by the wall clock and by the kernel's clock."""
 
     wall: float  # s since 1970
     boot: str  # the kernel's identifier of this boot
@@ -46,7 +46,7 @@ class ClockReadings:
 
         Raises
         ------
-        ValueError : a clock of the earlier moment is no number, or ahead of this one in the same boot.
+        ValueError : a clock of the earlier moment is no finite number, or it is ahead of this moment in the same boot.
         """
         if not math.isfinite(earlier.wall):
             raise ValueError(f"it is of {earlier.wall:g} s since 1970, which is no time")

@@ -17,15 +17,15 @@ from leactl.units import converter
 
 ACCEPTANCE = "acceptance"  # source of the events that record verdicts on limits
 Note = Callable[[str, str], None]  # level and message of an event
-MOST_OPEN_STEPS = 2  # latest steps of a limit that still take readings: some of the last but one come late
+MOST_OPEN_STEPS = 2  # the latest two steps of a limit still take readings: some of the former come after its end
 
 
 @dataclass
-class _Window:
-    """Statistics of a channel in one step."""
+class _StepStatistics:
+    """Statistics of a channel in one step, in the unit of the limit."""
 
-    start: float
-    stop: float = math.inf
+    start: float  # s since the run's start, of the judged part
+    stop: float = math.inf  # s since the run's start
     count: int = 0
     mean: float = 0.0
     squares: float = 0.0  # sum of squared distances from the mean (Welford 1962)
@@ -33,10 +33,11 @@ class _Window:
     high: float = -math.inf
 
     def take(self, value: float) -> None:
+        """Count a reading."""
         self.count += 1
-        step = value - self.mean
-        self.mean += step / self.count
-        self.squares += step * (value - self.mean)
+        deviation = value - self.mean
+        self.mean += deviation / self.count
+        self.squares += deviation * (value - self.mean)
         self.low, self.high = min(self.low, value), max(self.high, value)
 
     def statistic(self, name: str) -> float:
@@ -49,22 +50,22 @@ class _Window:
 
 
 @dataclass
-class _Watched:
-    """One limit on one channel."""
+class _WatchedLimit:
+    """One limit on one channel, with the statistics of its steps."""
 
     limit: ChannelBounds
-    location: str
+    location: str  # of the channel; empty if it states none
     factor: float  # from the channel's unit to the limit's
-    zero: float
-    windows: list[_Window] = field(default_factory=list)
-    broken: bool = False
+    zero: float  # in the limit's unit, added after the factor
+    windows: list[_StepStatistics] = field(default_factory=list)
+    is_broken: bool = False
 
     @property
     def subject(self) -> str:
         """The statistic, channel and step, for a person."""
         limit = self.limit
-        where = f" in step {limit.step}" if limit.step else ""
-        return f"{limit.statistic} of {limit.role} {limit.channel}{f' {self.location}' * bool(self.location)}{where}"
+        in_step = f" in step {limit.step}" if limit.step else ""
+        return f"{limit.statistic} of {limit.role} {limit.channel}{f' {self.location}' * bool(self.location)}{in_step}"
 
     def wanted(self) -> str:
         """Return the required bounds, for a person."""
@@ -74,26 +75,26 @@ class _Watched:
         return f"{limit.low:g} or more was required" if math.isinf(limit.high) else limit.bounds
 
     def take(self, time: float, value: float) -> str:
-        """Count a reading; return a message when it breaks the limit for the first time, else an empty string."""
-        window = next((part for part in self.windows[-MOST_OPEN_STEPS:] if part.start <= time < part.stop), None)
+        """Count a reading [s, unit of the channel]; return a message if it is the first to break the limit, or ""."""
+        window = next((step for step in self.windows[-MOST_OPEN_STEPS:] if step.start <= time < step.stop), None)
         if window is None or not math.isfinite(value):
             return ""
-        number = value * self.factor + self.zero
-        window.take(number)
+        converted = value * self.factor + self.zero
+        window.take(converted)
         limit = self.limit
-        over = limit.statistic == "max" and number > limit.high
-        if self.broken or not (over or (limit.statistic == "min" and number < limit.low)):
+        is_too_high = limit.statistic == "max" and converted > limit.high
+        if self.is_broken or not (is_too_high or (limit.statistic == "min" and converted < limit.low)):
             return ""
-        self.broken = True
-        return f"acceptance: {self.subject} is {number:.6g} {limit.unit}, {self.wanted()}"
+        self.is_broken = True
+        return f"acceptance: {self.subject} is {converted:.6g} {limit.unit}, {self.wanted()}"
 
     def verdict(self) -> "LimitVerdict":
-        """Return the verdict, with the statistic of the step that is furthest outside, or nearest to a bound."""
+        """Return the verdict, with the statistic of the step in which it is furthest outside or nearest to a bound."""
         limit = self.limit
         values = [window.statistic(limit.statistic) for window in self.windows]
-        known = [value for value in values if math.isfinite(value)]
-        worst = max(known, key=lambda value: max(limit.low - value, value - limit.high), default=math.nan)
-        met = bool(known) and len(known) == len(values) and limit.low <= worst <= limit.high
+        known_values = [value for value in values if math.isfinite(value)]
+        worst = max(known_values, key=lambda value: max(limit.low - value, value - limit.high), default=math.nan)
+        is_met = bool(known_values) and len(known_values) == len(values) and limit.low <= worst <= limit.high
         row = {
             "channel": limit.channel,
             "role": limit.role,
@@ -101,16 +102,17 @@ class _Watched:
             "statistic": limit.statistic,
             "value": worst if math.isfinite(worst) else None,
             "units": limit.unit,
-            "met": met,
+            "met": is_met,
         }
         row |= {"location": self.location} if self.location else {}
-        if known and len(known) == len(values):
+        if known_values and len(known_values) == len(values):
             summary = f"{self.subject} is {worst:.6g} {limit.unit}"
         else:
             summary = (
-                f"{self.subject} is not known, nothing was read in {len(values) - len(known)} of {len(values)} steps"
+                f"{self.subject} is not known, nothing was read in {len(values) - len(known_values)} of"
+                f" {len(values)} steps"
             )
-        return LimitVerdict(limit, row, met, summary if met else f"{summary}, {self.wanted()}")
+        return LimitVerdict(limit, row, is_met, summary if is_met else f"{summary}, {self.wanted()}")
 
 
 @dataclass(frozen=True)
@@ -134,17 +136,17 @@ class ChannelLimits:
     def __init__(
         self, limits: Sequence[ChannelBounds], streams: Mapping[str, Sequence[ChannelSpec]], bench: str
     ) -> None:
-        self._by_stream: dict[str, list[tuple[int, _Watched]]] = {}
-        self._every: list[_Watched] = []
+        self._by_stream: dict[str, list[tuple[int, _WatchedLimit]]] = {}
+        self._watched_limits: list[_WatchedLimit] = []
         for limit in limits:
-            before = len(self._every)
+            limits_before = len(self._watched_limits)
             for stream, channels in streams.items():
                 for column, channel in enumerate(channels):
                     if (channel.quantity, channel.role) == (limit.channel, limit.role):
-                        watched = _Watched(limit, channel.location, *_conversion(limit))
-                        self._every.append(watched)
+                        watched = _WatchedLimit(limit, channel.location, *_conversion(limit))
+                        self._watched_limits.append(watched)
                         self._by_stream.setdefault(stream, []).append((column, watched))
-            if len(self._every) == before:
+            if len(self._watched_limits) == limits_before:
                 raise InputError(
                     f"acceptance: bench '{bench}' measures no {limit.channel} of role '{limit.role}' to judge"
                 )
@@ -153,13 +155,13 @@ class ChannelLimits:
 
     def enter(self, step: str, start: float) -> None:
         """Begin the judged part of a step [s since the run's start]."""
-        for watched in self._every:
+        for watched in self._watched_limits:
             if watched.limit.step in ("", step):
-                watched.windows.append(_Window(start))
+                watched.windows.append(_StepStatistics(start))
 
     def leave(self, step: str, stop: float) -> None:
         """End a step [s since the run's start]."""
-        for watched in self._every:
+        for watched in self._watched_limits:
             if watched.limit.step in ("", step) and watched.windows:
                 watched.windows[-1].stop = stop
 
@@ -171,11 +173,11 @@ class ChannelLimits:
         AcceptanceFailed : a broken limit that stops the run.
         """
         for column, watched in self._by_stream.get(stream, ()):
-            broken = watched.take(time, values[column])
-            if broken:
-                note("warning", broken)
+            message = watched.take(time, values[column])
+            if message:
+                note("warning", message)
                 if watched.limit.stop:
-                    raise AcceptanceFailed(broken)
+                    raise AcceptanceFailed(message)
 
     def watches(self, stream: str) -> bool:
         """Return whether a limit is on a channel of the stream."""
@@ -183,7 +185,7 @@ class ChannelLimits:
 
     def verdicts(self) -> list[LimitVerdict]:
         """Return the verdict on every limit."""
-        return [watched.verdict() for watched in self._every]
+        return [watched.verdict() for watched in self._watched_limits]
 
 
 def _conversion(limit: ChannelBounds) -> tuple[float, float]:

@@ -16,12 +16,12 @@ from leactl.emulation.bench.emulated_block import check_emulated
 from leactl.errors import InputError
 from leactl.model.motor import Motor, load_motor
 from leactl.quantities import ChannelSpec
-from leactl.runner.thermal_admission import STOPS_WITHIN_S
+from leactl.runner.thermal_admission import STOP_DELAY_S
 from leactl.safety.thermal.box import Box
 from leactl.yamlfile import Document
 
 HAS_LOCATION = re.compile(r"\S.*?:\d+:\d+  ")  # file:line:column
-WORST_PHASE = 2.0  # heat of the hottest phase at standstill, over the mean of the three phases
+HOTTEST_PHASE_FACTOR = 2.0  # heat of the hottest phase at standstill over the mean heat of the three phases
 
 
 def load_checked(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], Document]:
@@ -58,17 +58,19 @@ def _unknown_interfaces(file: BenchFile, document: Document) -> Iterator[str]:
 
 
 def _alike_channels(bench: Bench, devices: Sequence[CheckedDevice], document: Document) -> Iterator[str]:
-    """Yield a fault for each channel with quantity, role and location of another one: no run file can hold both."""
+    """Yield a fault for each channel with quantity, role and location of another: no run file can hold both."""
     settings = {device.name: device.settings for device in devices}
-    first: dict[tuple[str, str, str], ChannelSpec] = {}
+    first_by_identity: dict[tuple[str, str, str], ChannelSpec] = {}
     for channel in (channel for stream in bench.streams().values() for channel in stream):
-        same = first.setdefault((channel.quantity, channel.role, channel.location), channel)
-        if channel.quantity and same is not channel:
-            shown = [item.place for item in settings[channel.device].shown() if item.quantity == channel.quantity]
+        first_channel = first_by_identity.setdefault((channel.quantity, channel.role, channel.location), channel)
+        if channel.quantity and first_channel is not channel:
+            matching_ranges = [
+                item.place for item in settings[channel.device].shown() if item.quantity == channel.quantity
+            ]
             yield document.fault(
-                ("devices", channel.device, "settings", *(shown[-1][:2] if shown else ())),
-                f"{channel.quantity} of {channel.role} is measured by {same.device} too; another role or location"
-                " was expected",
+                ("devices", channel.device, "settings", *(matching_ranges[-1][:2] if matching_ranges else ())),
+                f"{channel.quantity} of {channel.role} is measured by {first_channel.device} too; another role or"
+                " location was expected",
             )
 
 
@@ -99,17 +101,17 @@ def _burnt_before_the_end(
 ) -> Iterator[str]:
     """Yield a fault for a current limit at which a winding passes its limit before a drive without its host stops."""
     silences = [silence for silence in host_silences(devices).values() if silence is not None]
-    seconds = max(silences, default=SAFE_STATE_S) + STOPS_WITHIN_S
+    silent_s = max(silences, default=SAFE_STATE_S) + STOP_DELAY_S
     ambient, limits = file.limits.ambient_temperature_degC, file.limits
     currents = {}
     for role, motor in motors.items():
         rise = min(limits.winding_temperature_degC, motor.limits.winding_temperature) - ambient
-        heat = WORST_PHASE * motor.phase_resistance * seconds  # for each square of the current
+        heat = HOTTEST_PHASE_FACTOR * motor.phase_resistance * silent_s  # for each square of the current
         currents[role] = math.sqrt(motor.thermal.winding_capacitance * max(rise, 0.0) / heat)
     role = min(currents, key=lambda name: currents[name])
     if limits.current_A > currents[role]:
         yield document.fault(
             ("limits", "current_A"),
-            f"{limits.current_A:g} A takes the {role} winding to its temperature limit within the {seconds:.3g} s that"
+            f"{limits.current_A:g} A takes the {role} winding to its temperature limit within the {silent_s:.3g} s that"
             f" a drive without its host goes on; at most {currents[role]:.3g} A was expected",
         )

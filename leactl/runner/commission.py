@@ -30,12 +30,12 @@ from leactl.runner.thermal_memory import Recalled
 from leactl.safety.thermal.foresight import Forecast
 
 HEATING, COOLING = "heating_s", "cooling_s"  # parameters of the protocol
-HEATING_TIME_SHARE = 0.9  # of the time until the forecast passes the limit, that a heat may last
-SHORTENING_FACTOR = 0.8  # to the next shorter heat, while the forecast admits none
-SHORTEST_HEAT_S = 60.0  # that narrows a motor file
-HEATING_CURRENT_SHARE = 0.5  # of the largest current, above which a reading counts as heating
+HEATING_TIME_SHARE = 0.9  # a heat may last this share of the time until the forecast passes the limit
+SHORTENING_FACTOR = 0.8  # from one heat to the next shorter one, while the forecast does not admit it
+SHORTEST_HEAT_S = 60.0  # a shorter heat does not narrow a motor file
+HEATING_CURRENT_SHARE = 0.5  # a reading above this share of the largest current counts as heating
 MOST_HEAT_GROWTH = 3.0  # longest next heat over the longest so far: a body that warms later shows within it
-COOLING_TIME_CONSTANTS = 2.0  # of the housing, for which a bench cools after a short heat
+COOLING_TIME_CONSTANTS = 2.0  # a bench cools for as many time constants of the housing after a short heat
 
 Prepare = Callable[[Mapping[str, str]], Request]
 """Returns the request of the protocol, with these parameters replaced."""
@@ -56,7 +56,7 @@ class Commissioned:
     """State of a commissioning: motor file, forecast of the protocol by it, and the heats so far."""
 
     motor: Motor
-    file: Path | None  # the narrowed motor file; None where the one of the bench admits the protocol
+    file: Path | None  # the narrowed motor file; None if the bench's motor file admits the protocol
     heating_s: float  # of the whole protocol
     forecast: Forecast  # of that protocol, by `motor`
     limit: float  # degC, for the forecast
@@ -78,7 +78,7 @@ class CommissionOptions:
     prepare: Prepare
     perform: Perform
     tell: Callable[[str], None]
-    most: int  # runs at most, the whole protocol and the `given` ones included
+    most: int  # largest number of runs, including that of the whole protocol and the `given` runs
     given: Sequence[Path] = ()  # earlier heated runs of this actuator
     accuracy: Accuracy = field(default_factory=Accuracy)
     cold: bool = False  # a person says that nothing has heated the actuators before the first run
@@ -94,35 +94,35 @@ def commission(options: CommissionOptions, file: Path) -> Commissioned:
     AcceptanceFailed : the actuator is outside of the tolerances of its file.
     SafetyTrip, DeviceError, Stopped : a run ended early; its file and earlier ones remain, for `given` of a later call.
     """
-    whole = options.prepare({})
-    _refuse_other(whole)
-    _refuse_own(file, whole.bench.motors.values())
-    shipped = load_motor(whole.bench.motors["test"])[0]
-    state, paths = _forecast_state(whole, shipped, None), list(options.given)
+    whole_request = options.prepare({})
+    _require_heated_protocol(whole_request)
+    _refuse_bench_motor_file(file, whole_request.bench.motors.values())
+    shipped = load_motor(whole_request.bench.motors["test"])[0]
+    state, paths = _forecast_state(whole_request, shipped, None), list(options.given)
     if paths:
-        motor = _narrowed_motor(whole, shipped, paths, options)
-        state = state if state.admitted else _store_motor(whole, motor, paths, file)
+        motor = _narrowed_motor(whole_request, shipped, paths, options)
+        state = state if state.admitted else _store_motor(whole_request, motor, paths, file)
     options.tell(_state_text(state))
     if options.dry_run:
-        request = whole if state.admitted else _shortened(options, state)
+        request = whole_request if state.admitted else _shortened_request(options, state)
         dry_run(_with_motor_file(request, state.file))
         state.next_heating_s = _planned_heating_s(request)
         return state
     while not state.admitted and len(paths) < options.most - 1:
-        request = _shortened(options, state)
+        request = _shortened_request(options, state)
         paths.append(_run_heat(request, state, options, len(paths)))
         heats = [*state.heats, Heat(paths[-1], _planned_heating_s(request), whole=False)]
-        state = _store_motor(whole, _narrowed_motor(whole, shipped, paths, options), paths, file)
+        state = _store_motor(whole_request, _narrowed_motor(whole_request, shipped, paths, options), paths, file)
         state.heats = heats
         options.tell(_state_text(state))
     if not state.admitted:
         raise InputError(
-            f"protocol '{whole.plan.name}' is not admitted after {len(paths)} heated runs, with {options.most} at most:"
-            f" {_state_text(state)}; lower its current, tell the camera's own accuracy, or allow more --runs"
+            f"protocol '{whole_request.plan.name}' is not admitted after {len(paths)} heated runs, with {options.most}"
+            f" at most: {_state_text(state)}; lower its current, tell the camera's own accuracy, or allow more --runs"
         )
     state.heats = [
         *state.heats,
-        Heat(_run_heat(whole, state, options, len(paths)), _planned_heating_s(whole), whole=True),
+        Heat(_run_heat(whole_request, state, options, len(paths)), _planned_heating_s(whole_request), whole=True),
     ]
     return state
 
@@ -148,11 +148,11 @@ def _planned_heating_s(request: Request) -> float:
     return float(request.plan.parameters[HEATING])
 
 
-def _refuse_other(request: Request) -> None:
-    """Refuse a protocol that is not heated, and a request without an actuator's label."""
+def _require_heated_protocol(request: Request) -> None:
+    """Raise InputError for a protocol that is not heated, or a request without an actuator's label."""
     plan = request.plan
-    lacking = [name for name in (HEATING, COOLING) if name not in plan.parameters]
-    if plan.analysis != "thermal" or lacking:
+    missing_parameters = [name for name in (HEATING, COOLING) if name not in plan.parameters]
+    if plan.analysis != "thermal" or missing_parameters:
         raise InputError(
             f"protocol '{plan.name}': a heated protocol was expected, with `analysis: thermal` and the parameters"
             f" {HEATING} and {COOLING}"
@@ -161,19 +161,22 @@ def _refuse_other(request: Request) -> None:
         raise InputError("--actuator: which one is commissioned was expected; a narrowed motor file is of one alone")
 
 
-def _refuse_own(file: Path, motors: Iterable[str]) -> None:
-    """Refuse to replace a motor file that the bench names: its tolerances are the reference for the narrowed file."""
+def _refuse_bench_motor_file(file: Path, motors: Iterable[str]) -> None:
+    """Raise InputError if `file` is a motor file that the bench names, whose tolerances are those to be narrowed.
+
+    motors : names or paths of the bench's motor files.
+    """
     if file.exists() and any(Path(name).exists() and file.samefile(name) for name in motors):
         raise InputError(f"--file {file}: is the motor file that the bench names; name another one")
 
 
-def _forecast_state(whole: Request, motor: Motor, file: Path | None) -> Commissioned:
+def _forecast_state(whole_request: Request, motor: Motor, file: Path | None) -> Commissioned:
     """Return the forecast of the protocol on cold windings, by a motor file; None is the bench's own file."""
-    request = _with_motor_file(whole, file)
+    request = _with_motor_file(whole_request, file)
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, cold=True)
-    load = whole.bench.motors.get("load", whole.bench.motors["test"])
+    load_motor_name = whole_request.bench.motors.get("load", whole_request.bench.motors["test"])
     forecast, limit = windings.forecast(request.plan), windings.settings.limit
-    return Commissioned(motor, file, _planned_heating_s(request), forecast, limit, load)
+    return Commissioned(motor, file, _planned_heating_s(request), forecast, limit, load_motor_name)
 
 
 def _with_motor_file(request: Request, file: Path | None) -> Request:
@@ -186,21 +189,21 @@ def _with_motor_file(request: Request, file: Path | None) -> Request:
     return replace(request, bench=request.bench.model_copy(update={"motors": motors}))
 
 
-def _shortened(options: CommissionOptions, state: Commissioned) -> Request:
-    """Return the protocol with a heat as long as is admitted, and a cooling long enough to identify the housing.
+def _shortened_request(options: CommissionOptions, state: Commissioned) -> Request:
+    """Return a request with the longest admitted heat, and with a cooling long enough to identify the housing.
 
     Raises
     ------
     InputError : no heat of `SHORTEST_HEAT_S` or more is admitted.
     """
-    whole, passing = options.prepare({}), state.forecast.passing
-    seconds = min(_planned_heating_s(whole), state.longest_s)
+    whole_request, passing = options.prepare({}), state.forecast.passing
+    seconds = min(_planned_heating_s(whole_request), state.longest_s)
     if passing is not None:
-        heating = max(whole.plan.timeline(), key=lambda row: row.duration_s if row.name == "heating" else 0.0)
+        heating = max(whole_request.plan.timeline(), key=lambda row: row.duration_s if row.name == "heating" else 0.0)
         seconds = min(seconds, HEATING_TIME_SHARE * (passing.time_s - heating.start_s))
     network = state.motor.thermal
     constant = network.housing_capacitance * (network.housing_ambient_resistance + network.winding_housing_resistance)
-    cooling = min(float(whole.plan.parameters[COOLING]), math.ceil(COOLING_TIME_CONSTANTS * constant))
+    cooling = min(float(whole_request.plan.parameters[COOLING]), math.ceil(COOLING_TIME_CONSTANTS * constant))
     while seconds >= SHORTEST_HEAT_S:
         request = options.prepare({HEATING: f"{math.floor(seconds)}", COOLING: f"{cooling:g}"})
         if _forecast_state(request, state.motor, state.file).admitted:
@@ -209,14 +212,22 @@ def _shortened(options: CommissionOptions, state: Commissioned) -> Request:
     reason = "" if passing is None else f" step '{passing.step}' may take the {passing.role} winding to its limit after"
     reason += "" if passing is None else f" {passing.time_s:.0f} s, and"
     raise InputError(
-        f"protocol '{whole.plan.name}':{reason} no heat of {SHORTEST_HEAT_S:g} s or more is admitted; lower its current"
+        f"protocol '{whole_request.plan.name}':{reason} no heat of {SHORTEST_HEAT_S:g} s or more is admitted; lower"
+        " its current"
     )
 
 
-def _narrowed_motor(whole: Request, shipped: Motor, paths: Sequence[Path], options: CommissionOptions) -> Motor:
+def _narrowed_motor(whole_request: Request, shipped: Motor, paths: Sequence[Path], options: CommissionOptions) -> Motor:
+    """Return the motor with tolerances narrowed by all heats so far.
+
+    Raises
+    ------
+    InputError : a run of another actuator or bench, or one that is given twice or was altered.
+    AcceptanceFailed : the actuator is outside of the tolerances of its file.
+    """
     with ExitStack() as opened:
         runs = [opened.enter_context(Run.open(path)) for path in paths]
-        _refuse_others(runs, whole)
+        _refuse_foreign_runs(runs, whole_request)
         refuse_repeated(runs)
         refuse_altered(runs)
         for note in dict.fromkeys(note for run in runs for note in channel_doubts(run)):
@@ -224,18 +235,20 @@ def _narrowed_motor(whole: Request, shipped: Motor, paths: Sequence[Path], optio
         return narrow_tolerances(shipped, runs, options.accuracy)
 
 
-def _store_motor(whole: Request, motor: Motor, paths: Sequence[Path], file: Path) -> Commissioned:
+def _store_motor(whole_request: Request, motor: Motor, paths: Sequence[Path], file: Path) -> Commissioned:
     """Write the motor file of all heats so far, and return the forecast of the protocol by it.
 
     The memory of the windings knows nothing about a new motor file. The bounds by the previous file hold for the new
     one as well, so they are written again.
     """
-    with nullcontext() if whole.in_process else locks.held(whole.bench, whole.devices):
-        known = _known_bounds(whole, file)
-        _write_motor_file(file, motor, whole.actuator, paths)
-        request = _with_motor_file(whole, file)
-        Windings(request.bench, request.devices, request.actuator, request.in_process, recalled=known).keep_as_found()
-    state = _forecast_state(whole, load_motor(str(file))[0], file)
+    with nullcontext() if whole_request.in_process else locks.held(whole_request.bench, whole_request.devices):
+        known_bounds = _known_bounds(whole_request, file)
+        _write_motor_file(file, motor, whole_request.actuator, paths)
+        request = _with_motor_file(whole_request, file)
+        Windings(
+            request.bench, request.devices, request.actuator, request.in_process, recalled=known_bounds
+        ).keep_as_found()
+    state = _forecast_state(whole_request, load_motor(str(file))[0], file)
     state.longest_s = MOST_HEAT_GROWTH * max(_measured_heating_s(path) for path in paths)
     return state
 
@@ -244,34 +257,37 @@ def _measured_heating_s(path: Path) -> float:
     """Return how long a run was heated [s]."""
     with Run.open(path) as run:
         current = run.channel("line_current")
-        on = np.abs(current.values) > HEATING_CURRENT_SHARE * np.nanmax(np.abs(current.values))
-        return float(np.sum(np.diff(current.time)[on[1:] & on[:-1]]))
+        is_heating = np.abs(current.values) > HEATING_CURRENT_SHARE * np.nanmax(np.abs(current.values))
+        return float(np.sum(np.diff(current.time)[is_heating[1:] & is_heating[:-1]]))
 
 
-def _known_bounds(whole: Request, file: Path) -> Mapping[str, Recalled]:
+def _known_bounds(whole_request: Request, file: Path) -> Mapping[str, Recalled]:
     """Return the lower bounds that the memory has by the bench's own motor file and by an earlier narrowed file."""
-    requests = [whole, *([_with_motor_file(whole, file)] if file.exists() else [])]
+    requests = [whole_request, *([_with_motor_file(whole_request, file)] if file.exists() else [])]
     recalled = [Windings(known.bench, known.devices, known.actuator, known.in_process).recalled for known in requests]
     return {
         role: min((known[role] for known in recalled), key=lambda known: float(known.nodes[0])) for role in recalled[0]
     }
 
 
-def _refuse_others(runs: Sequence[Run], whole: Request) -> None:
-    """Refuse runs of another actuator, of another bench with other instruments, and simulated runs for a real bench."""
-    emulated, faults = whole.bench.emulated is not None, []
+def _refuse_foreign_runs(runs: Sequence[Run], whole_request: Request) -> None:
+    """Raise InputError for runs of another actuator or another bench, and for simulated runs of a real bench."""
+    emulated, faults = whole_request.bench.emulated is not None, []
     for run in runs:
-        if (actuator := str(run.attributes.get("actuator", ""))) != whole.actuator:
-            faults.append(f"{run.path}: of actuator '{actuator}'; '{whole.actuator}' was expected")
-        if (bench := str(run.attributes.get("bench", ""))) != whole.bench.name:
-            faults.append(f"{run.path}: of bench '{bench}'; '{whole.bench.name}' was expected: its supply, its camera")
+        if (actuator := str(run.attributes.get("actuator", ""))) != whole_request.actuator:
+            faults.append(f"{run.path}: of actuator '{actuator}'; '{whole_request.actuator}' was expected")
+        if (bench := str(run.attributes.get("bench", ""))) != whole_request.bench.name:
+            faults.append(
+                f"{run.path}: of bench '{bench}'; '{whole_request.bench.name}' was expected: its supply, its camera"
+            )
         if bool(run.attributes.get("simulated")) and not emulated:
-            faults.append(f"{run.path}: simulated; a run of the real bench '{whole.bench.name}' was expected")
+            faults.append(f"{run.path}: simulated; a run of the real bench '{whole_request.bench.name}' was expected")
     if faults:
         raise InputError(faults)
 
 
 def _write_motor_file(file: Path, motor: Motor, actuator: str, paths: Sequence[Path]) -> None:
+    """Write a motor file with a header that names the actuator and the runs that narrowed its tolerances."""
     header = [
         f"# Actuator {actuator}, commissioned {datetime.now(UTC):%Y-%m-%d} by `leactl thermal commission` from",
         *(f"#   {path.name}" for path in paths),

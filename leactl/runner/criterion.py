@@ -20,7 +20,7 @@ class Moments(NamedTuple):
     value_value: float = 0.0
 
     def joined(self, added: "Moments") -> "Moments":
-        """Return the moments of two sets of samples together, without a loss of digits to large means.
+        """Return the moments of two sets of samples together; no digits are lost where means are large.
 
         Source: Chan, Golub and LeVeque (1983).
         """
@@ -39,7 +39,7 @@ class Moments(NamedTuple):
         )
 
     def statistic(self, name: str) -> float:
-        """Return the mean, standard deviation or slope [1/s] of the values; NaN of too few samples.
+        """Return the mean, standard deviation or slope over time [1/s] of the values; NaN if there are too few.
 
         Parameters
         ----------

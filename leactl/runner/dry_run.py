@@ -81,11 +81,11 @@ def opening_failures(request: Request) -> dict[str, str]:
                 continue
             reasons[device.name] = ""
             try:
-                unsafe = unconfirmed_devices(make_safe(list(bench.drivers.values())))
+                doubt = unconfirmed_devices(make_safe(list(bench.drivers.values())))
             finally:
                 bench.close()
-            if unsafe:
-                raise DeviceError(unsafe)
+            if doubt:
+                raise DeviceError(doubt)
     return reasons
 
 

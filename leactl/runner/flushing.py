@@ -59,6 +59,7 @@ class SparseWriter(RunWriter):
             super().append(stream, times[due], block[due])
 
     def _is_due(self, stream: str, time: float) -> bool:
+        """Return whether a row of this time [s] is to be written, and set when the stream's next row is due."""
         due = self._due.setdefault(stream, time)
         if time < due:
             return False
@@ -101,29 +102,30 @@ class ThreadedFlush:
         self._writer = writer
         self.free_bytes = math.inf  # on the disk, after the last flush
         self._warnings: deque[str] = deque()
-        self._flushed, self._quiet_until = time.monotonic(), -math.inf
+        self._flushed, self._next_warning_at = time.monotonic(), -math.inf
         self._ended = threading.Event()
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="leactl-flush", daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
+        """Flush in each interval until `stop` or a failure, which `after_cycle` raises."""
         while not self._ended.wait(FLUSH_INTERVAL_S):
             try:
                 self._writer.flush()
-                self._see_pace(time.monotonic())
+                self._warn_if_slow(time.monotonic())
                 self.free_bytes = free_bytes(self._writer.path)
             except BaseException as failure:  # noqa: BLE001 (a thread that dies in silence would record nothing more)
                 self._failure = failure
                 return
 
-    def _see_pace(self, now: float) -> None:
+    def _warn_if_slow(self, now: float) -> None:
         """Warn of a disk so slow that a kill now would cost more rows than the run format promises."""
-        took, self._flushed = now - self._flushed, now
-        if took > PROMISED_FLUSH_S and now >= self._quiet_until:
-            self._quiet_until = now + WARNING_INTERVAL_S
+        gap_s, self._flushed = now - self._flushed, now
+        if gap_s > PROMISED_FLUSH_S and now >= self._next_warning_at:
+            self._next_warning_at = now + WARNING_INTERVAL_S
             self._warnings.append(
-                f"the disk is slow: rows were on it {took:.2g} s after those before, {PROMISED_FLUSH_S:g} s at most"
+                f"the disk is slow: rows were on it {gap_s:.2g} s after those before, {PROMISED_FLUSH_S:g} s at most"
                 " were expected; a crash now may cost as much of the run"
             )
 

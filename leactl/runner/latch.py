@@ -27,7 +27,7 @@ from leactl.runner.runs_underway import LostRun
 from leactl.yamlfile import printable
 
 SUFFIX = ".trip.json"
-RELEASED = b'{"released": true}\n'  # written to the file of another user, which only that user may remove
+RELEASED = b'{"released": true}\n'  # content of a file that holds no bench: held ready, or another user's to remove
 LATCH_BYTES = 4096  # of a latch that is held ready, so that setting it takes no disk space
 DIGEST_DIGITS = 16  # of a file's digest in the name of its latch
 
@@ -76,12 +76,12 @@ class Latch:
             raise LeactlError(f"{path}: the trip could not be latched: {error.strerror or error}") from None
 
     def trip(self) -> Trip | None:
-        """Return the trip that holds this bench, or None; a latch that cannot be read holds it too."""
+        """Return the trip that holds this bench, or None; a latch that cannot be read holds the bench too."""
         trips = (_trip(self.bench, Path(path)) for path in self.paths)
         return next((trip for trip in trips if trip is not None), None)
 
     def refuse(self) -> None:
-        """Refuse to move a tripped bench.
+        """Raise SafetyTrip if the bench is tripped.
 
         Raises
         ------
@@ -184,6 +184,12 @@ class OpenLatch:
         os.close(self._descriptor)
 
     def _write(self, text: bytes) -> None:
+        """Write the content of the latch, on the disk before this returns.
+
+        Raises
+        ------
+        OSError : it could not be written whole.
+        """
         if write_at(self._descriptor, text.ljust(LATCH_BYTES), 0) < len(text):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         os.fsync(self._descriptor)
@@ -214,7 +220,7 @@ def latches_named(word: str) -> list[Latch]:
 
 
 def tripped_latches(word: str) -> dict[Latch, Trip]:
-    """Return the latches of `latches_named` that hold a bench, with their trips."""
+    """Return the latches of `latches_named` that hold a bench, each with its trip."""
     trips = {latch: latch.trip() for latch in latches_named(word)}
     return {latch: trip for latch, trip in trips.items() if trip is not None}
 
@@ -222,9 +228,9 @@ def tripped_latches(word: str) -> dict[Latch, Trip]:
 def latch_lost_runs(bench: str) -> list[UnlatchedRun]:
     """Latch a bench on real buses for each of its lost runs, whose devices may be in any state.
 
-    A latch that is already set gets the cause in addition, so that whoever resets it reads both; one that names the
-    same process was set by its watchdog, and stays. Returns the runs whose latch could not be written, or whose file
-    could be neither removed nor marked: that file holds the bench until a reset.
+    A latch that is already set gets the cause in addition, so that whoever resets it reads both causes; a latch that
+    names the same process was set by its watchdog, and stays. Return the runs whose latch could not be written, or
+    whose file could be neither removed nor marked: that file holds the bench until a reset.
     """
     unlatched = []
     for run in runs_underway.lost(bench):
@@ -240,7 +246,7 @@ def latch_lost_runs(bench: str) -> list[UnlatchedRun]:
 
 
 def refuse_lost_runs(bench: str) -> None:
-    """Latch a bench for its lost runs, and refuse it where a latch could not be written.
+    """Latch a bench for its lost runs; raise SafetyTrip if a latch could not be written.
 
     Raises
     ------
@@ -265,8 +271,8 @@ def _by_name(bench: str, of_files: bool = True) -> Iterator[Latch]:
     for folder in state_folder.folders():
         with suppress(OSError):
             for path in sorted(folder.directory.iterdir()):
-                key, suffix, after = path.name.partition(SUFFIX)
-                if suffix and not after and (key == bench or (of_files and key.partition("@")[0] == bench)):
+                key, suffix, remainder = path.name.partition(SUFFIX)
+                if suffix and not remainder and (key == bench or (of_files and key.partition("@")[0] == bench)):
                     yield Latch(bench, bench, (str(path),), folder.shared)
 
 

@@ -16,12 +16,12 @@ def lock_of(key: str) -> bytes:
 
 
 def holder(lock: bytes) -> tuple[int, int] | None:
-    """Return the process and the user that hold a lock; None if nobody does, or its queue is full."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
-        asking.setblocking(False)
+    """Return the numbers of the process and the user that hold a lock; None if nobody does, or its queue is full."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+        client.setblocking(False)
         try:
-            asking.connect(lock)
+            client.connect(lock)
         except OSError:
             return None
-        process, user, _group = struct.unpack("3i", asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+        process, user, _group = struct.unpack("3i", client.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
     return process, user

@@ -21,7 +21,7 @@ from leactl.driver.file_records import RecordSettings
 from leactl.errors import DeviceError, InputError
 from leactl.runner import lock_holders, state_folder
 
-HOLDER_QUEUE_LENGTH = 4096  # of requests for the holder, which stay in the queue; beyond it the holder is unknown
+HOLDER_QUEUE_LENGTH = 4096  # requests for the holder stay in the queue of its socket; if it is full, none is answered
 UDP_MULTICAST_PORT = 43113  # of python-can, unless an option names another
 
 
@@ -40,11 +40,11 @@ def held(bench: BenchFile, devices: Sequence[CheckedDevice]) -> Iterator[list[in
         raise InputError(
             f"bench '{bench.name}': devices are driven on Linux alone; emulated benches and files are for any system"
         )
-    used = sorted({device.entry.bus for device in devices if device.entry.bus})
+    bus_names = sorted({device.entry.bus for device in devices if device.entry.bus})
     subjects = {name_of(bench): f"bench '{bench.name}'"}
-    for name in used:
-        key, shown = _bus_key(bench.buses[name])
-        subjects.setdefault(key, f"bus '{name}' ({shown})")
+    for name in bus_names:
+        key, display_name = _bus_key(bench.buses[name])
+        subjects.setdefault(key, f"bus '{name}' ({display_name})")
     for device in devices:
         settings = device.settings
         if isinstance(settings, RecordSettings) and settings.exports_folder is not None:
@@ -67,8 +67,8 @@ def bus_held(bus: Bus) -> Iterator[None]:
     """
     if sys.platform != "linux":
         raise InputError("devices are asked on Linux alone")
-    key, shown = _bus_key(bus)
-    with alone(key, f"{shown} is driven by a run"):
+    key, display_name = _bus_key(bus)
+    with alone(key, f"{display_name} is driven by a run"):
         yield
 
 
@@ -82,30 +82,32 @@ def idle(bench: str) -> Iterator[None]:
     """
     with ExitStack() as stack:
         if sys.platform == "linux":  # elsewhere no device is driven
-            served = (_served(bench, folder) for folder in state_folder.folders())
-            for name in dict.fromkeys((_on_real_buses(bench), *served)):
+            served_names = (_served_lock_name(bench, folder) for folder in state_folder.folders())
+            for name in dict.fromkeys((_real_lock_name(bench), *served_names)):
                 stack.enter_context(alone(name, f"bench '{bench}' cannot be reset: a run or another reset has it"))
         yield
 
 
 def name_of(bench: BenchFile) -> str:
-    """Return the name of a bench's lock; for a served bench it contains the state folder, for names may repeat."""
+    """Return the name of a bench's lock; that of a served bench contains the state folder, because names may repeat."""
     if bench.emulated is None:
-        return _on_real_buses(bench.name)
-    return _served(bench.name, state_folder.folder_of(bench, in_process=False))
+        return _real_lock_name(bench.name)
+    return _served_lock_name(bench.name, state_folder.folder_of(bench, in_process=False))
 
 
-def _on_real_buses(bench: str) -> str:
+def _real_lock_name(bench: str) -> str:
+    """Return the name of the lock of a bench on real buses."""
     return f"bench-{bench}"
 
 
-def _served(bench: str, folder: state_folder.StateFolder) -> str:
+def _served_lock_name(bench: str, folder: state_folder.StateFolder) -> str:
+    """Return the name of the lock of a served bench, whose state is in this folder."""
     return f"{folder.directory}/bench-{bench}"
 
 
 @contextmanager
 def alone(key: str, taken: str) -> Iterator[int]:
-    """Hold the lock of a name on this machine until the block is left; yields its descriptor.
+    """Hold the lock of a name on this machine until the block is left, and yield its descriptor.
 
     Parameters
     ----------
@@ -122,13 +124,13 @@ def alone(key: str, taken: str) -> Iterator[int]:
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
                 raise DeviceError(f"{key}: cannot be held: {error.strerror}") from None
-            raise DeviceError(f"{taken}, {_holder(name)}; wait for its end, or: leactl bench stop") from None
+            raise DeviceError(f"{taken}, {_holder_text(name)}; wait for its end, or: leactl bench stop") from None
         lock.listen(HOLDER_QUEUE_LENGTH)
         yield lock.fileno()
 
 
-def _holder(name: bytes) -> str:
-    """Return the process that holds a lock, according to the kernel, with its user if that is another one."""
+def _holder_text(name: bytes) -> str:
+    """Return as text the process that holds a lock, according to the kernel, and its user if it is another user."""
     holder = lock_holders.holder(name)
     if holder is None:  # between its bind and its listen, or its queue is full
         return "process unknown"
@@ -145,7 +147,7 @@ def _holder(name: bytes) -> str:
 
 @contextmanager
 def locked(path: Path, taken: str) -> Iterator[int]:
-    """Hold a lock file until the block is left; yields its descriptor.
+    """Hold a lock file until the block is left, and yield its descriptor.
 
     Parameters
     ----------
@@ -178,28 +180,31 @@ def locked(path: Path, taken: str) -> Iterator[int]:
 
 
 def _bus_key(bus: Bus) -> tuple[str, str]:
-    """Return the machine's own name of a bus, whatever a bench file calls it, and its name for a person."""
+    """Return the machine's own name of a bus, whatever a bench file calls the bus, and its name for a person."""
     if isinstance(bus, I2cBus):
         return f"i2c-{bus.number}", f"i2c-{bus.number}"
     if isinstance(bus, SerialBus):
-        return _device(bus.port)
+        return _device_key(bus.port)
     if isinstance(bus, VisaBus):
-        shown = "tcp-{}-{}".format(*bus.address)
-        return shown, shown
+        address = "tcp-{}-{}".format(*bus.address)
+        return address, address
     channel = str(bus.channel)
     # slcan takes /dev/ttyACM0@115200, and pyserial spy:///dev/ttyACM0?file=...
     path = re.sub(r"^[a-z0-9]+://(?=/)", "", channel).partition("?")[0].partition("@")[0]
     if "/" in path and ("://" not in channel or path.startswith("/")):
-        return _device(path)
+        return _device_key(path)
     if bus.interface == "socketcan":
-        channel = _interface(channel)
+        channel = _interface_name(channel)
     port = bus.options.get("port", UDP_MULTICAST_PORT if bus.interface == "udp_multicast" else None)
-    shown = "-".join([bus.interface, channel, *([str(port)] if port is not None else [])])
-    return shown, shown
+    address = "-".join([bus.interface, channel, *([str(port)] if port is not None else [])])
+    return address, address
 
 
-def _device(port: str) -> tuple[str, str]:
-    """Return a port's device number in the kernel, which all its links share, and its path; else the path twice."""
+def _device_key(port: str) -> tuple[str, str]:
+    """Return a name of a port by its device number in the kernel, which all links to it share, and its path.
+
+    Return the path twice if it is no character device.
+    """
     path = str(Path(port).resolve())
     try:
         status = Path(path).stat()
@@ -210,7 +215,7 @@ def _device(port: str) -> tuple[str, str]:
     return f"device-{os.major(status.st_rdev)}-{os.minor(status.st_rdev)}", path
 
 
-def _interface(channel: str) -> str:
+def _interface_name(channel: str) -> str:
     """Return the first name of a network interface with others (`ip link property add dev can0 altname ...`)."""
     try:
         return socket.if_indextoname(socket.if_nametoindex(channel))

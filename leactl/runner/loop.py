@@ -37,12 +37,12 @@ from leactl.runner.stop_requests import RunControl
 from leactl.runner.watchdog import CYCLES, NoWatchdog, standstill_text
 from leactl.safety.supervisor import Supervisor
 
-ANSWER_SHARE = 0.6  # of a period, that the drives' answers may take
-LEAST_ANSWER_S = 0.002
-SWITCH_TIMEOUT_S = 10.0  # in which a supply must report on or off; its driver gives up earlier if the supply denies it
+ANSWER_SHARE = 0.6  # the drives' answers may take this share of a period
+LEAST_ANSWER_S = 0.002  # the drives' answers may take as long, however short the period
+SWITCH_TIMEOUT_S = 10.0  # a supply must report on or off in time; its driver raises earlier if the supply refuses
 LONGEST_PAUSE_S = 3600.0  # after a longer pause nobody attends the bench any more, and the run ends in order
 CUT_SHORT, NOT_JUDGED = "cut short", "not judged"  # outcomes of a criterion besides met and not met
-NOTICE_CYCLES = 16  # from one look at notices to the next: they cause no action, and need not cost time in every cycle
+NOTICE_CYCLES = 16  # notices are passed on in every 16th cycle: they cause no action, and would cost time in each
 
 
 class Loop:
@@ -67,13 +67,13 @@ class Loop:
         self._clock = bench.clock
         self._period = 1.0 / plan.rate_Hz
         self._answer_s = max(ANSWER_SHARE * self._period, LEAST_ANSWER_S)
-        self._start = self._next = self._clock.now()
+        self._start = self._next_start = self._clock.now()
         self._newest: dict[str, Sequence[float]] = {}
         self._progress.device_values = self._newest
         self._row: list[float] = []
         self._judged_row: Sequence[float] = ()  # the row that a criterion has taken last
         self._record_at(plan.record_Hz)
-        self._planned = 0.0
+        self._planned_done_s = 0.0
         self.overruns = 0
         self.cycles = 0
         self.zeros: dict[str, tuple[float, float]] = {}  # of each tared channel, before and after [its unit]
@@ -81,7 +81,7 @@ class Loop:
     @property
     def time(self) -> float:
         """Start of the next cycle [s since the run's start]."""
-        return self._next - self._start
+        return self._next_start - self._start
 
     def run(self) -> None:
         """Execute the whole plan.
@@ -94,7 +94,7 @@ class Loop:
         self._supervisor.begin(self._period)
         self._progress.windings, self._progress.time_left = self._supervisor.windings, self._supervisor.time_left
         self._progress.winding_limit = self._supervisor.winding_limit
-        self._start = self._next = self._clock.now()  # the time of preparation is no standstill
+        self._start = self._next_start = self._clock.now()  # the time of preparation is no standstill
         self._watchdog.begin(self._period)
         try:
             self._cycle()
@@ -109,7 +109,7 @@ class Loop:
             self._cycle()
         except BaseException as error:
             self._see_standstill(
-                self._clock.now() - self._next
+                self._clock.now() - self._next_start
             )  # first: a drive's fault after a standstill is its consequence
             self._supervisor.latch(str(error))  # after a drive's fault as after a trip, nothing is commanded
             raise
@@ -117,6 +117,7 @@ class Loop:
             self._pass_on_notices()
 
     def _perform(self, action: Action) -> None:
+        """Execute one action of the plan."""
         match action:
             case Segment():
                 self._move(action)
@@ -137,27 +138,27 @@ class Loop:
                 self._record_at(action.rate_Hz)
 
     def _record_at(self, rate: float) -> None:
-        """Record rows at this rate [Hz] from the next cycle on; 0 records none."""
-        self._every = round(self._plan.rate_Hz / rate) if rate else 0
-        self._until_row = 0 if rate else -1
+        """Record rows at this rate [Hz] from the next cycle on; at 0 record none."""
+        self._cycles_per_row = round(self._plan.rate_Hz / rate) if rate else 0
+        self._cycles_until_row = 0 if rate else -1
 
     def _decide(self, when: When, actions: Iterator[Action]) -> None:
         """Skip the actions under a condition that is not fulfilled, up to the end of the condition."""
-        condition, known = when.condition, ""
+        condition, reading_text = when.condition, ""
         if isinstance(condition, InRange):
             value = self._reading(condition.quantity, condition.role)
-            fulfilled, known = condition.low <= value <= condition.high, f", it is {value:.4g}"
+            fulfilled, reading_text = condition.low <= value <= condition.high, f", it is {value:.4g}"
             if math.isnan(value):
                 self._progress.warnings.append(f"when {condition}: there is no reading, its steps are left out")
         else:
             fulfilled = self.outcomes.fulfils(condition)
-        self._note("info", "runner", f"when {condition}{known}: {'done' if fulfilled else 'left out'}")
-        opened = 0 if fulfilled else 1
-        while opened:
+        self._note("info", "runner", f"when {condition}{reading_text}: {'done' if fulfilled else 'left out'}")
+        open_conditions = 0 if fulfilled else 1
+        while open_conditions:
             action = next(actions)
-            opened += isinstance(action, When) - isinstance(action, EndWhen)
-            self._planned += action.duration_s if isinstance(action, Segment) else 0.0
-        self._progress.done_s = self._planned
+            open_conditions += isinstance(action, When) - isinstance(action, EndWhen)
+            self._planned_done_s += action.duration_s if isinstance(action, Segment) else 0.0
+        self._progress.done_s = self._planned_done_s
 
     def _pause(self) -> None:
         """Run supervised cycles without new commands until the pause is ended.
@@ -185,13 +186,13 @@ class Loop:
         """Run one cycle: exchange, record, judge, send the heartbeat, and wait for the start of the next cycle."""
         self._stop.check()
         bench, supervisor, writer, clock, start = self._bench, self._supervisor, self._writer, self._clock, self._start
-        began = self._next
+        began = self._next_start
         row = self._row = bench.exchange(began + self._answer_s)
-        if self._until_row == 0:
-            self._until_row = self._every
+        if self._cycles_until_row == 0:
+            self._cycles_until_row = self._cycles_per_row
             if row:
                 writer.append_row("loop", began - start, row)
-        self._until_row -= 1  # never reaches 0 if nothing is recorded
+        self._cycles_until_row -= 1  # never reaches 0 if nothing is recorded
         readings = bench.take()
         for reading in readings:
             if isinstance(reading, SampleBlock):
@@ -219,23 +220,24 @@ class Loop:
             self._note_overrun(now - due)
             due = now
         clock.sleep_until(due)
-        self._next = due
+        self._next_start = due
 
-    def _see_standstill(self, late: float) -> None:
-        """Trip if the loop stood still for longer than is allowed, and the watchdog has not yet acted."""
-        if late > self._watchdog.allowed_s and not self._supervisor.tripped:
+    def _see_standstill(self, silence_s: float) -> None:
+        """Trip if the loop stood still for longer [s] than is allowed, unless a trip is latched already."""
+        if silence_s > self._watchdog.allowed_s and not self._supervisor.tripped:
             self._supervisor.trip(
-                standstill_text(os.getpid(), round(1e9 * late), round(1e9 * self._watchdog.allowed_s))
+                standstill_text(os.getpid(), round(1e9 * silence_s), round(1e9 * self._watchdog.allowed_s))
             )
 
-    def _note_overrun(self, late: float) -> None:
-        self._see_standstill(late)
+    def _note_overrun(self, late_s: float) -> None:
+        """Count a cycle that began this late [s]; trip if that is a standstill, and note some of the overruns."""
+        self._see_standstill(late_s)
         self.overruns += 1
         if self.overruns in (1, 10, 100, 1000):
-            self._note("warning", "runner", f"cycle late by {late * 1e3:.1f} ms; {self.overruns} so far")
+            self._note("warning", "runner", f"cycle late by {late_s * 1e3:.1f} ms; {self.overruns} so far")
 
     def _pass_on_notices(self) -> None:
-        """Record and show what recorder, devices, operators, supervisor and flush have reported since the last call."""
+        """Record and show what recorder, devices, operator, supervisor and flush have reported since the last call."""
         for text in self._writer.notes():
             self._note("warning", "recorder", text)
             self._progress.warnings.append(text)
@@ -243,8 +245,8 @@ class Loop:
             self._note("warning", source, text)
         for text in self._operator_input.new_remarks():
             self._note("info", "operator", f"remark: {text}")
-        wanted = "paused" if self._pausing else "pauses at the next rest"
-        self._progress.pause = wanted if self._operator_input.pause_wanted() else ""
+        pause_text = "paused" if self._pausing else "pauses at the next rest"
+        self._progress.pause = pause_text if self._operator_input.pause_wanted() else ""
         for source, texts in (("safety", self._supervisor.take_warnings()), ("recorder", self._flush.warnings())):
             for text in texts:
                 self._note("warning", source, text)
@@ -257,6 +259,7 @@ class Loop:
             self._supervisor.trip(fault)
 
     def _note(self, level: str, source: str, message: str) -> None:
+        """Record an event of now."""
         self._writer.event(self._clock.now() - self._start, level, source, message)
 
     def _judge(self, began: float, row: Sequence[float], readings: Sequence[SampleBlock | Row]) -> None:
@@ -280,73 +283,78 @@ class Loop:
         began = self.time
         self._progress.step = segment.name
         setpoints = list(segment.setpoints.items())
-        until, ended = segment.until, CUT_SHORT
+        until, ending = segment.until, CUT_SHORT
         judge = None if until is None else Judge(until, began + segment.settle_s)
         parameters: dict[str, Any] = dict(segment.parameters)
-        scaled = False
+        was_scaled = False
         if segment.duration_s > 0.0:
             self._limits.enter(segment.name, began + segment.settle_s)
         try:
             if segment.duration_s <= 0.0:
                 self._command(setpoints, 0.0)
                 return
-            last = segment.duration_s - 0.5 * self._period
+            last_start = segment.duration_s - 0.5 * self._period
             while True:
-                into = self.time - began
-                if into >= last:
-                    ended = "not met"
+                elapsed = self.time - began
+                if elapsed >= last_start:
+                    ending = "not met"
                     break
-                self._command(setpoints, into)
-                scaled = scaled or (segment.trial is not None and self._scaled(setpoints))
-                self._progress.done_s = self._planned + into
+                self._command(setpoints, elapsed)
+                was_scaled = was_scaled or (segment.trial is not None and self._is_scaled(setpoints))
+                self._progress.done_s = self._planned_done_s + elapsed
                 self._cycle()
                 if until is not None and judge is not None and self._meets(until, judge):
-                    ended = "met"
+                    ending = "met"
                     break
             self._command(setpoints, segment.duration_s)
-            if segment.trial is not None and (scaled or (judge is not None and math.isnan(judge.latest))):
-                ended = NOT_JUDGED
+            if segment.trial is not None and (was_scaled or (judge is not None and math.isnan(judge.latest))):
+                ending = NOT_JUDGED
             elif until is not None:
-                parameters |= self.outcomes.take(segment, ended == "met")
+                parameters |= self.outcomes.take(segment, ending == "met")
         finally:
             for role, profile in setpoints:
                 self._commanded.move(role, profile.at(segment.duration_s))
             if segment.duration_s > 0.0:
                 self._limits.leave(segment.name, self.time)
-                parameters |= {} if judge is None else {"until": ended}
+                parameters |= {} if judge is None else {"until": ending}
                 self._writer.step(segment.name, began, self.time, segment.settle_s, parameters)
-        self._planned += segment.duration_s
+        self._planned_done_s += segment.duration_s
         if until is not None and judge is not None:
-            at = "".join(f" at {profile.at(0.0):g}" for _role, profile in setpoints if segment.trial is not None)
-            came = f"{ended}{at} after {self.time - began:.4g} s"
-            self._note("info", "runner", f"{segment.name}: {until}: {came}, last {judge.latest:.4g}")
-            if until.required and ended != "met":
+            setpoint_text = "".join(
+                f" at {profile.at(0.0):g}" for _role, profile in setpoints if segment.trial is not None
+            )
+            result_text = f"{ending}{setpoint_text} after {self.time - began:.4g} s"
+            self._note("info", "runner", f"{segment.name}: {until}: {result_text}, last {judge.latest:.4g}")
+            if until.required and ending != "met":
                 raise DeviceError(
                     f"{segment.name}: {until} was expected; {judge.latest:.4g} after {segment.duration_s:g} s"
                 )
-            if ended == NOT_JUDGED:
-                why = (
-                    "the winding may not carry its current" if scaled else f"there are no readings of {until.quantity}"
+            if ending == NOT_JUDGED:
+                reason = (
+                    "the winding may not carry its current"
+                    if was_scaled
+                    else f"there are no readings of {until.quantity}"
                 )
-                raise DeviceError(f"{segment.name}: the trial{at} cannot be judged: {why}")
+                raise DeviceError(f"{segment.name}: the trial{setpoint_text} cannot be judged: {reason}")
         if segment.trial is not None and (answer := self.outcomes.answer(segment.trial.search)):
             self._note("info", "runner", answer)
 
-    def _scaled(self, setpoints: list[tuple[str, SetpointProfile]]) -> bool:
+    def _is_scaled(self, setpoints: list[tuple[str, SetpointProfile]]) -> bool:
         """Return whether the supervisor scales any of the setpoints."""
         return any(self._supervisor.scales(role) for role, _profile in setpoints)
 
     def _meets(self, until: Until, judge: Judge) -> bool:
-        """Pass the channel's newest sample to the criterion, each once; return whether the criterion is met."""
+        """Pass the channel's newest sample to the criterion unless it has it; return whether the criterion is met."""
         values, column = self._newest_row(until.quantity, until.role)
         if values is not self._judged_row:
             self._judged_row = values
             judge.receive(self.time, values[column] if column < len(values) else math.nan)
         return judge.met(self.time)
 
-    def _command(self, setpoints: list[tuple[str, SetpointProfile]], into: float) -> None:
+    def _command(self, setpoints: list[tuple[str, SetpointProfile]], elapsed: float) -> None:
+        """Pass on the setpoint of each role at a time since the start of the segment [s]."""
         for role, profile in setpoints:
-            self._supervisor.command(role, profile.at(into))
+            self._supervisor.command(role, profile.at(elapsed))
 
     def _engage(self, modes: Mapping[str, Mode]) -> None:
         """Engage or release drives and wait until each reports it; a drive makes one transition in a cycle."""
@@ -369,7 +377,9 @@ class Loop:
     def _supply(self, outputs: Mapping[str, tuple[float, float] | None]) -> None:
         """Switch supplies on at their levels, or off, and wait until each reports it."""
         supplies = self._supervisor.supplies
-        levels = [f"{role} {f'{pair[0]:g} V, {pair[1]:g} A' if pair else 'off'}" for role, pair in outputs.items()]
+        levels = [
+            f"{role} {f'{output[0]:g} V, {output[1]:g} A' if output else 'off'}" for role, output in outputs.items()
+        ]
         self._progress.step = "supply " + ", ".join(levels)
         self._note("info", "runner", self._progress.step)
         for role, output in outputs.items():
@@ -379,18 +389,28 @@ class Loop:
             else:
                 self._commanded.supply(role, True)
                 supplies.put_out(role, *output)
-        end = self.time + SWITCH_TIMEOUT_S
+        deadline = self.time + SWITCH_TIMEOUT_S
         self._cycle()
-        while waiting := [role for role, pair in outputs.items() if supplies.supplying(role) is not (pair is not None)]:
-            if self.time >= end:
-                raise DeviceError(f"the supply of {waiting[0]} does not report what was commanded: {', '.join(levels)}")
+        while unconfirmed_roles := [
+            role for role, output in outputs.items() if supplies.supplying(role) is not (output is not None)
+        ]:
+            if self.time >= deadline:
+                raise DeviceError(
+                    f"the supply of {unconfirmed_roles[0]} does not report what was commanded: {', '.join(levels)}"
+                )
             self._cycle()
 
     def _wait_until(self, action: WaitUntil) -> None:
+        """Run cycles until a reading is in its range.
+
+        Raises
+        ------
+        DeviceError : it is not within the action's timeout.
+        """
         self._progress.step = f"wait for {action.role} {action.quantity}"
-        end = self.time + action.timeout_s
+        deadline = self.time + action.timeout_s
         while not action.low <= self._reading(action.quantity, action.role) <= action.high:
-            if self.time >= end:
+            if self.time >= deadline:
                 raise DeviceError(
                     f"{action.role} {action.quantity} is {self._reading(action.quantity, action.role):.4g} after"
                     f" {action.timeout_s:g} s; {action.low:g} to {action.high:g} was waited for"
@@ -398,7 +418,7 @@ class Loop:
             self._cycle()
 
     def _reading(self, quantity: str, role: str) -> float:
-        """Return the newest value of a quantity, or NaN, which fails every comparison, before the first."""
+        """Return the newest value of a quantity; before the first, NaN, which fails every comparison."""
         values, column = self._newest_row(quantity, role)
         return values[column] if column < len(values) else math.nan
 
@@ -416,7 +436,12 @@ class Loop:
         raise InputError(f"bench '{self._bench.file.name}' measures no {quantity} of role '{role}'")
 
     def _tare(self, samples: int) -> None:
-        """Average so many samples of each torque channel, and take the means as its zero."""
+        """Average this number of samples of each torque channel, and set its zero to the mean.
+
+        Raises
+        ------
+        InputError : the bench has no torque sensor.
+        """
         self._progress.step = "tare"
         devices = {
             driver: [
@@ -425,24 +450,26 @@ class Loop:
             for driver in self._bench.drivers.values()
             if isinstance(driver, AnalogInput)
         }
-        gathered: dict[str, list[float]] = {name: [] for names in devices.values() for name in names}
-        if not gathered:
+        samples_by_stream: dict[str, list[float]] = {name: [] for names in devices.values() for name in names}
+        if not samples_by_stream:
             raise InputError(f"bench '{self._bench.file.name}' has no torque sensor to tare")
         self._newest.clear()
-        while min(len(values) for values in gathered.values()) < samples:
+        while min(len(values) for values in samples_by_stream.values()) < samples:
             self._cycle()
-            for name, values in gathered.items():
+            for name, values in samples_by_stream.items():
                 if name in self._newest:
                     values.append(self._newest.pop(name)[0])
-        self._planned += samples * self._period
+        self._planned_done_s += samples * self._period
         for driver, names in devices.items():
-            means = {name: sum(gathered[name]) / len(gathered[name]) for name in names}
-            after = driver.tare(means) if means else {}
+            means = {name: sum(samples_by_stream[name]) / len(samples_by_stream[name]) for name in names}
+            offsets = driver.tare(means) if means else {}
             streams = {spec.channels[0].name: spec.name for spec in driver.streams}
-            zeros = {name: (offset - means[streams[name]], offset) for name, offset in after.items()}
-            self.zeros |= zeros
-            for name, (before, offset) in zeros.items():
-                self._note("info", "runner", f"tared: offset of {name} {offset:.6g} N*m, before {before:.6g} N*m")
+            offset_changes = {name: (offset - means[streams[name]], offset) for name, offset in offsets.items()}
+            self.zeros |= offset_changes
+            for name, (previous_offset, offset) in offset_changes.items():
+                self._note(
+                    "info", "runner", f"tared: offset of {name} {offset:.6g} N*m, before {previous_offset:.6g} N*m"
+                )
 
     def _prompt(self, text: str) -> None:
         """Ask the operator, and run cycles until the answer."""

@@ -29,14 +29,14 @@ class SavedRecording(NamedTuple):
     interval: float  # s
 
 
-def save_recording(name_or_path: str, device: str, target: Path, elsewhere: Sequence[str] = ()) -> SavedRecording:
+def save_recording(name_or_path: str, device: str, target: Path, changed_buses: Sequence[str] = ()) -> SavedRecording:
     """Switch a bench's device off, upload its recording, and save it; no other device is touched.
 
     Parameters
     ----------
     device : its name in the bench file; it needs a recorder (`RecordingDevice`).
     target : a path that is not taken.
-    elsewhere : changed buses, each as `NAME=INTERFACE:CHANNEL`.
+    changed_buses : each as `NAME=INTERFACE:CHANNEL`.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def save_recording(name_or_path: str, device: str, target: Path, elsewhere: Sequ
     """
     refuse_existing(target)
     file, devices, _document = load_checked(name_or_path)
-    moved = benchfile.changed_buses(file, elsewhere)
+    new_buses = benchfile.changed_buses(file, changed_buses)
     chosen = [entry for entry in devices if entry.name == device]
     if not chosen:
         raise InputError(
@@ -54,30 +54,30 @@ def save_recording(name_or_path: str, device: str, target: Path, elsewhere: Sequ
         )
     if not hasattr(registry.load(chosen[0].entry.driver), "recorded"):
         raise InputError(f"{device} ({chosen[0].entry.driver}) has no recorder of its own that could be uploaded")
-    if file.emulated is not None and chosen[0].entry.bus not in moved:
+    if file.emulated is not None and chosen[0].entry.bus not in new_buses:
         raise InputError(
             f"bench '{file.name}' is emulated: nothing has been recorded there; serve it (leactl bench serve), and say"
             " by --bus where"
         )
-    file = file.model_copy(update={"buses": {**file.buses, **moved}})
+    file = file.model_copy(update={"buses": {**file.buses, **new_buses}})
     with locks.held(file, chosen):
-        recording, unsafe = _upload(Bench(file, chosen, MachineWiring()), device)
+        recording, doubt = _upload(Bench(file, chosen, MachineWiring()), device)
     try:
         with new_file(target) as path:
             path.write_text(_table(recording), encoding="utf-8")
     except BaseException as error:
-        if unsafe:
-            error.add_note(unsafe)
+        if doubt:
+            error.add_note(doubt)
         raise
-    if unsafe:
-        raise DeviceError(f"{unsafe}; its recording is complete and was saved: {target}")
+    if doubt:
+        raise DeviceError(f"{doubt}; its recording is complete and was saved: {target}")
     return SavedRecording(target, recording.headings, len(recording.values), recording.interval)
 
 
 def _upload(bench: Bench, name: str) -> tuple[OwnRecording, str]:
     """Open the device, which switches it off, upload its recording, make it safe again and close it.
 
-    Returns the recording, and what could not be confirmed of the device's safe state; empty if it is safe.
+    Return the recording, and what could not be confirmed of the device's safe state; an empty string if it is safe.
     """
     device = bench.drivers[name]
     assert isinstance(device, RecordingDevice)
@@ -85,8 +85,8 @@ def _upload(bench: Bench, name: str) -> tuple[OwnRecording, str]:
     try:
         recording = device.recorded()
     except BaseException as error:
-        if unsafe := _make_safe_and_close(bench, name):
-            error.add_note(unsafe)
+        if doubt := _make_safe_and_close(bench, name):
+            error.add_note(doubt)
         raise
     return recording, _make_safe_and_close(bench, name)
 
@@ -100,6 +100,7 @@ def _make_safe_and_close(bench: Bench, name: str) -> str:
 
 
 def _table(recording: OwnRecording) -> str:
+    """Return a recording as comma-separated text, with a column of times [s] before its own."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")  # quotes a heading with a comma
     table.writerow(("Time (s)", *recording.headings))

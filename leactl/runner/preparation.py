@@ -70,7 +70,7 @@ def locks_of(request: Request) -> AbstractContextManager[list[int]]:
 
 
 def refuse_latched(request: Request) -> None:
-    """Refuse a latched bench; one whose last run died without making its devices safe is latched first.
+    """Raise SafetyTrip for a latched bench; latch it first if a run died without making its devices safe.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def refuse_latched(request: Request) -> None:
 
 
 def check(request: Request) -> None:
-    """Refuse a request that does not fit its bench, before anything is touched.
+    """Raise InputError for a request that does not fit its bench, before anything is touched.
 
     Raises
     ------
@@ -95,20 +95,20 @@ def check(request: Request) -> None:
 
 
 def check_supplies(request: Request, supervisor: Supervisor) -> None:
-    """Refuse a plan whose levels are above those of the bench's supplies.
+    """Raise InputError for a plan whose supply levels are above those of the bench's supplies.
 
     Raises
     ------
     InputError : there is no supply at those leads, or its levels are lower.
     """
-    name, most = request.bench.name, supervisor.supplies.most
+    name, highest_outputs = request.bench.name, supervisor.supplies.most
     for action in request.plan.actions:
         for role, output in action.outputs.items() if isinstance(action, SetSupply) else ():
-            if role not in most:
+            if role not in highest_outputs:
                 raise InputError(
                     f"protocol '{request.plan.name}' supplies the leads of {role}; bench '{name}' has no supply there"
                 )
-            for level, highest, unit in zip(output or (), most[role], "VA", strict=False):
+            for level, highest, unit in zip(output or (), highest_outputs[role], "VA", strict=False):
                 if level > highest:
                     raise InputError(
                         f"protocol '{request.plan.name}' asks {level:g} {unit} of the supply of {role}; it is good for"
@@ -157,7 +157,7 @@ def supervisor_of(request: Request, bench: Bench, windings: Windings) -> Supervi
     for role, driver in bench.drives.items():
         assert isinstance(driver, MotionDevice)
         axes[role] = Axis(driver, driver)
-    sensed = SENSED_ROLES.get(request.plan.setup, ())
+    sensed_roles = SENSED_ROLES.get(request.plan.setup, ())
     return Supervisor(
         request.bench.limits,
         axes,
@@ -165,7 +165,7 @@ def supervisor_of(request: Request, bench: Bench, windings: Windings) -> Supervi
         bench.clock,
         windings.guard,
         request.bench.interlocks,
-        torque_models={role: TorqueModel.of(windings.motors[role]) for role in sensed},
+        torque_models={role: TorqueModel.of(windings.motors[role]) for role in sensed_roles},
         voltage_needs={
             role: VoltageNeed(
                 motor.back_emf_constant,

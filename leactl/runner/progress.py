@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from leactl.quantities import ChannelSpec
 
-WARM_DEGC = 50.0  # winding temperature from which the time to its limit is shown
+WARM_DEGC = 50.0  # the time to a winding's limit is shown above this temperature
 
 
 @dataclass
@@ -24,7 +24,7 @@ class Progress:
         {},
     )  # by role: estimate, and bound of the hottest phase
     winding_limit: float = math.nan  # degC, that no bound may pass
-    time_left: Callable[[], Mapping[str, float]] = dict  # by role, at what flows now [s]
+    time_left: Callable[[], Mapping[str, float]] = dict  # s by role, until the limit at the present current
     step: str = ""
     prompt: str = ""
     hint: str = ""  # keys that the operator may press
@@ -32,8 +32,8 @@ class Progress:
     warnings: list[str] = field(default_factory=list)  # of interlocks, in the order of their crossing
     view_fault: str = ""  # failure of the view, which is no fault of the run
     time_s: float = 0.0  # start of the newest cycle, since the run's start
-    done_s: float = 0.0
-    began: float = field(default_factory=time.monotonic)
+    done_s: float = 0.0  # duration of the part of the plan that is done
+    began: float = field(default_factory=time.monotonic)  # s by `time.monotonic`
 
     @property
     def share(self) -> float:
@@ -42,10 +42,13 @@ class Progress:
 
     @property
     def left_s(self) -> float:
-        """Wall seconds that are left at the pace so far; NaN before there is a pace."""
+        """Wall time that the rest of the plan takes at the pace so far [s]; NaN before there is a pace."""
         share = self.share
         return (time.monotonic() - self.began) * (1 - share) / share if share > 0 else float("nan")
 
     def time_to_limit(self) -> Mapping[str, float]:
-        """Time until each winding's bound is at its limit, at what flows now [s], by role; empty while all are cold."""
+        """Return the time until each winding's bound reaches its limit at the present current [s], by role.
+
+        It is empty while no bound is above `WARM_DEGC`.
+        """
         return self.time_left() if max(self.windings[1].values(), default=0.0) > WARM_DEGC else {}

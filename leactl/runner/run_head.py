@@ -24,11 +24,11 @@ def writer_of(request: Request, bench: Bench) -> RunWriter:
     ------
     RecordingFailed : the file could not be made.
     """
-    opened = request.directory, info_of(request, bench), bench.streams(), bench.wait_for_disk
-    return SparseWriter(*opened, request.record_every_s) if request.record_every_s else RunWriter(*opened)
+    arguments = request.directory, info_of(request, bench), bench.streams(), bench.wait_for_disk
+    return SparseWriter(*arguments, request.record_every_s) if request.record_every_s else RunWriter(*arguments)
 
 
-def info_of(request: Request, opened: Bench) -> RunInfo:
+def info_of(request: Request, opened_bench: Bench) -> RunInfo:
     """Return the attributes of a run file."""
     plan, bench, now = request.plan, request.bench, datetime.now(UTC)
     motor = load_motor(bench.motors["test"])[1]
@@ -45,7 +45,7 @@ def info_of(request: Request, opened: Bench) -> RunInfo:
         created=now.isoformat(timespec="milliseconds"),
         seed=request.noise_seed,
         parameters=plan.parameters,
-        instruments={name: known.facts for name, known in opened.provenance.items()},
+        instruments={name: provenance.facts for name, provenance in opened_bench.provenance.items()},
         sources={"protocol": plan.text, "bench": request.bench_document.text, "model": motor.text},
     )
 
@@ -84,7 +84,7 @@ def warn_of_bench(request: Request, writer: RunWriter, bench: Bench, progress: P
     """Record and show the warnings that a person at a real bench should know before it moves."""
     if not request.in_process:  # an emulated winding cannot burn
         progress.warnings += windings_without_second_sensor(request.plan, bench)
-    doubts = [(name, known.doubt) for name, known in bench.provenance.items() if known.doubt]
+    doubts = [(name, provenance.doubt) for name, provenance in bench.provenance.items() if provenance.doubt]
     for name, source in devices_with_exports(bench.drivers).items() if not request.in_process else ():
         if source.exports.absent:
             doubts.append((name, f"there is no folder {source.exports.folder} for its exports yet"))

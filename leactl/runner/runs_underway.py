@@ -28,11 +28,11 @@ from leactl.runner import lock_holders, state_folder
 from leactl.runner.state_folder import StateFolder
 from leactl.yamlfile import printable
 
-GOES_ON, STOP, PAUSE = b"-", b"!", b"="
+GOES_ON, STOP, PAUSE = b"-", b"!", b"="  # values of the bytes of the head
 HEAD_BYTES = 2  # the first asks for a stop and the second for a pause, so that neither undoes the other
 STOP_CAUSE = "stopped by `leactl bench stop`"
 POLL_INTERVAL_S = 0.02
-MOST_FILE_BYTES = 1 << 22  # of a file, with thousands of remarks
+MOST_READ_BYTES = 1 << 22  # of a file; as much holds thousands of remarks
 
 
 class Announcement:
@@ -46,7 +46,7 @@ class Announcement:
         self._append_lock = threading.Lock()
 
     def renew(self) -> None:
-        """Make the file anew if it was removed, exchanged or moved, for no other process could find the run any more.
+        """Make the file anew if it was removed, exchanged or moved: otherwise no other process would find the run.
 
         It is called from another thread than the loop, which reads the new file next. A failure to write is ignored.
         """
@@ -57,7 +57,7 @@ class Announcement:
                 return
             with suppress(FileNotFoundError):
                 self._path.rename(self._path.with_name(f"{self._path.name}.{secrets.token_hex(4)}.aside"))
-            text = read_at(self._descriptor, MOST_FILE_BYTES, 0)
+            text = read_at(self._descriptor, MOST_READ_BYTES, 0)
             descriptor = _make_locked_file(self._path, text, self._shared)
             self._descriptor, self._head = descriptor, mmap.mmap(descriptor, HEAD_BYTES, access=mmap.ACCESS_READ)
 
@@ -70,18 +70,18 @@ class Announcement:
         """Whether a pause is asked for."""
         return self._head[1] == PAUSE[0]
 
-    def pause(self, wanted: bool) -> None:
+    def pause(self, is_wanted: bool) -> None:
         """Ask for a pause, or for its end, from the process of the run."""
-        write_at(self._descriptor, PAUSE if wanted else GOES_ON, 1)
+        write_at(self._descriptor, PAUSE if is_wanted else GOES_ON, 1)
 
     def remarks(self) -> list[str]:
         """Return the remarks since the last call."""
         if os.fstat(self._descriptor).st_size <= self._read_to:
             return []
         text = read_at(self._descriptor, state_folder.MOST_BYTES, self._read_to)
-        whole = text[: text.rfind(b"\n") + 1]  # a line that is being written is read the next time
-        self._read_to += len(whole)
-        return [str(line["remark"]) for line in _lines(whole) if "remark" in line]
+        complete_lines = text[: text.rfind(b"\n") + 1]  # a line that is being written is read the next time
+        self._read_to += len(complete_lines)
+        return [str(line["remark"]) for line in _lines(complete_lines) if "remark" in line]
 
     def tell(self, **facts: Any) -> None:
         """Append facts to the file; a failure to write is ignored."""
@@ -89,9 +89,11 @@ class Announcement:
             os.lseek(self._descriptor, 0, os.SEEK_END)
             os.write(self._descriptor, _line(facts))
 
-    def tell_safe(self, safe: Mapping[str, Confirmation]) -> None:
+    def tell_safe(self, confirmations: Mapping[str, Confirmation]) -> None:
         """Append the confirmation of every device that was made safe."""
-        self.tell(safe={name: {"confirmed": device.safe, "detail": device.detail} for name, device in safe.items()})
+        self.tell(
+            safe={name: {"confirmed": device.safe, "detail": device.detail} for name, device in confirmations.items()}
+        )
 
     def close(self) -> None:
         """Close the file, which ends the run for other processes."""
@@ -101,31 +103,34 @@ class Announcement:
 
 @contextmanager
 def announced(
-    bench: str, bench_file: str, protocol: str, needed: bool, folder: StateFolder | None = None
+    bench: str, bench_file: str, protocol: str, is_needed: bool, folder: StateFolder | None = None
 ) -> Iterator[Announcement]:
     """Let a run be found and stopped by other processes until the block is left.
 
-    If no file can be made and it is not `needed`, since the run's devices end with the run, a file without a name takes
-    its place. Without a `folder`, the file is in the user's own state folder.
+    Parameters
+    ----------
+    is_needed : whether the run must not begin without the file, because its devices do not end with the run. If it is
+        False and no file can be made, a file without a name takes its place.
+    folder : folder of the file; None: the user's own state folder.
 
     Raises
     ------
-    InputError : the file is `needed` and cannot be made.
+    InputError : the file is needed and cannot be made.
     """
     folder = folder or state_folder.of_user()
     path = folder.runs / f"{bench}.{os.getpid()}.{secrets.token_hex(4)}.run"
     file = str(Path(bench_file).resolve())
-    about = {"bench": bench, "file": file, "protocol": protocol, "process": os.getpid(), "real": needed}
+    run_facts = {"bench": bench, "file": file, "protocol": protocol, "process": os.getpid(), "real": is_needed}
     try:
-        descriptor = _make_locked_file(path, 2 * GOES_ON + _line(about), folder.shared)
+        descriptor = _make_locked_file(path, 2 * GOES_ON + _line(run_facts), folder.shared)
         announcement = Announcement(descriptor, path=path, shared=folder.shared)
     except OSError as error:
         fault = f"{path.parent}: `leactl bench stop` cannot reach this run: {error.strerror or error}"
-        if needed:
+        if is_needed:
             raise InputError(f"{fault}; set LEACTL_STATE to a directory that can be written") from None
-        nowhere = _nameless_file()
-        os.write(nowhere, 2 * GOES_ON)
-        announcement = Announcement(nowhere, fault)
+        nameless_file = _nameless_file()
+        os.write(nameless_file, 2 * GOES_ON)
+        announcement = Announcement(nameless_file, fault)
     try:
         yield announcement
     except BaseException as error:
@@ -146,20 +151,23 @@ def _nameless_file() -> int:
 
 
 def _make_locked_file(path: Path, text: bytes, shared: bool) -> int:
-    """Make a file that is locked before it gets its name, for a file without a lock counts as that of an ended run."""
+    """Make a file that is locked before it gets its name, as a file without a lock counts as that of an ended run.
+
+    Return its descriptor.
+    """
     try:
         import fcntl
     except ImportError:
         raise OSError(errno.ENOSYS, "this system has no locks of files") from None
-    hidden = path.with_suffix(".tmp")
-    descriptor = state_folder.open_file(hidden, shared)
+    unnamed_path = path.with_suffix(".tmp")
+    descriptor = state_folder.open_file(unnamed_path, shared)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         os.write(descriptor, text)
-        hidden.rename(path)
+        unnamed_path.rename(path)
     except BaseException:
         os.close(descriptor)
-        hidden.unlink(missing_ok=True)
+        unnamed_path.unlink(missing_ok=True)
         raise
     return descriptor
 
@@ -186,15 +194,15 @@ class RunUnderway:
         """
         self._ask("stop", lambda: write_at(self.descriptor, STOP, 0))
 
-    def ask_to_pause(self, wanted: bool) -> None:
+    def ask_to_pause(self, is_wanted: bool) -> None:
         """Ask for a pause, which begins at the run's next rest, or for its end.
 
         Raises
         ------
         DeviceError : this user may not write to the file.
         """
-        byte = PAUSE if wanted else GOES_ON
-        self._ask("pause" if wanted else "go on", lambda: write_at(self.descriptor, byte, 1))
+        byte = PAUSE if is_wanted else GOES_ON
+        self._ask("pause" if is_wanted else "go on", lambda: write_at(self.descriptor, byte, 1))
 
     def remark(self, text: str) -> None:
         """Have the run record a remark, with the time at which the run reads it.
@@ -205,13 +213,13 @@ class RunUnderway:
         """
 
         def append() -> None:
-            end = os.open(
+            append_descriptor = os.open(
                 f"/proc/self/fd/{self.descriptor}", os.O_WRONLY | os.O_APPEND
             )  # appends whole lines, also with others
             try:
-                os.write(end, _line({"remark": text}))
+                os.write(append_descriptor, _line({"remark": text}))
             finally:
-                os.close(end)
+                os.close(append_descriptor)
 
         self._ask("record a remark", append)
 
@@ -221,7 +229,7 @@ class RunUnderway:
             write()
         except OSError as error:
             reason: object = error.strerror or error
-            if error.errno in (errno.EBADF, errno.EACCES):  # it could be opened for reading alone
+            if error.errno in (errno.EBADF, errno.EACCES):  # this user may only read the file
                 owner = os.fstat(self.descriptor).st_uid
                 reason = f"no permission; the run is that of user {owner}, who may, as root may"
             raise DeviceError(f"{self}: cannot be asked to {request}: {reason}") from None
@@ -271,16 +279,18 @@ def lost(bench: str) -> list[LostRun]:
             if descriptor is None:
                 continue
             try:
-                if not _has_ended(descriptor) or (about := _facts(descriptor)).get("bench") != bench:
+                if not _has_ended(descriptor) or (run_facts := _facts(descriptor)).get("bench") != bench:
                     continue
-                if _is_over(about):
+                if _is_over(run_facts):
                     path.unlink(missing_ok=True)
                     continue
-                run = f"process {about.get('process')} of the run {about.get('protocol')}"
+                run = f"process {run_facts.get('process')} of the run {run_facts.get('protocol')}"
                 cause = f"{run} ended without a word, and its watchdog too"
                 last_written = datetime.fromtimestamp(os.fstat(descriptor).st_mtime, UTC).isoformat(timespec="seconds")
                 runs.append(
-                    LostRun(about.get("process"), cause, str(about.get("run", "none")), folder, path, last_written)
+                    LostRun(
+                        run_facts.get("process"), cause, str(run_facts.get("run", "none")), folder, path, last_written
+                    )
                 )
             finally:
                 os.close(descriptor)
@@ -314,17 +324,17 @@ def forget(run: LostRun) -> None:
 
 
 def _is_over(facts: Mapping[str, Any]) -> bool:
-    """Return whether a run has recorded that every device is safe, or had only devices that ended with it."""
+    """Return whether a run has recorded that every device is safe, or had only devices that ended with the run."""
     if not facts.get("real"):
         return True
     safe = facts.get("safe")
     return isinstance(safe, dict) and all(device["confirmed"] is True for device in safe.values())
 
 
-def _is_of_devices(safe: object) -> bool:
+def _is_safe_fact(value: object) -> bool:
     """Return whether a value has the form that `tell_safe` writes."""
-    return isinstance(safe, dict) and all(
-        isinstance(device, dict) and {"confirmed", "detail"} <= device.keys() for device in safe.values()
+    return isinstance(value, dict) and all(
+        isinstance(device, dict) and {"confirmed", "detail"} <= device.keys() for device in value.values()
     )
 
 
@@ -349,20 +359,20 @@ def running() -> tuple[list[RunUnderway], list[str]]:
                     path.unlink(missing_ok=True)
             os.close(descriptor)
             continue
-        about = _facts(descriptor)
-        unknown = {"bench": "unknown", "file": "", "protocol": path.name}
+        run_facts = _facts(descriptor)
+        default_texts = {"bench": "unknown", "file": "", "protocol": path.name}
         texts = {
-            key: printable(about[key]) if isinstance(about.get(key), str) else default
-            for key, default in unknown.items()
+            key: printable(run_facts[key]) if isinstance(run_facts.get(key), str) else default
+            for key, default in default_texts.items()
         }
-        process = about.get("process")
+        process = run_facts.get("process")
         process = process if isinstance(process, int) else 0
         underway.append(RunUnderway(**texts, process=process, descriptor=descriptor))
     return underway, faults
 
 
 def unseen(bench: str) -> str:
-    """Return a line on a real bench that a process has locked without a file of its run, else an empty string."""
+    """Return a line on a real bench that a process holds without a file of its run, else an empty string."""
     holder = lock_holders.holder(lock_holders.lock_of(f"bench-{bench}"))
     if holder is None:
         return ""
@@ -407,9 +417,9 @@ def _has_ended(descriptor: int) -> bool:
 def _facts(descriptor: int) -> dict[str, Any]:
     """Return the facts in a run's file; later lines replace earlier ones, and a malformed `safe` is left out."""
     facts: dict[str, Any] = {}
-    for line in _lines(read_at(descriptor, MOST_FILE_BYTES, HEAD_BYTES)):
+    for line in _lines(read_at(descriptor, MOST_READ_BYTES, HEAD_BYTES)):
         facts |= line
-    if not _is_of_devices(facts.get("safe", {})):
+    if not _is_safe_fact(facts.get("safe", {})):
         del facts["safe"]
     return facts
 

@@ -76,12 +76,14 @@ def named_wires(
     if faults:
         raise InputError(faults)
     wires += [_i2c_wire(number) for number in i2c]
-    named: list[ScannedWire] = []
+    named_wires_so_far: list[ScannedWire] = []
     for wire in {wire.shown: wire for wire in wires}.values():
-        taken = {earlier.name for earlier in named}
-        numbered = (f"{wire.name[: LONGEST_BUS_NAME - 1 - len(str(number))]}_{number}" for number in count(2))
-        named.append(replace(wire, name=next(name for name in chain([wire.name], numbered) if name not in taken)))
-    return named
+        taken_names = {earlier.name for earlier in named_wires_so_far}
+        numbered_names = (f"{wire.name[: LONGEST_BUS_NAME - 1 - len(str(number))]}_{number}" for number in count(2))
+        named_wires_so_far.append(
+            replace(wire, name=next(name for name in chain([wire.name], numbered_names) if name not in taken_names))
+        )
+    return named_wires_so_far
 
 
 def wires_of_this_machine(root: Path = Path("/")) -> list[ScannedWire]:
@@ -199,5 +201,5 @@ def _lan_wire(word: str) -> ScannedWire:
 
 def _name(text: str) -> str:
     """Return a text as a name that is valid in a bench file."""
-    plain = re.sub(r"[^a-z0-9_]+", "_", text.lower()).strip("_")
-    return f"{'' if plain[:1].isalpha() else 'bus_'}{plain}"[:LONGEST_BUS_NAME].rstrip("_")
+    valid_text = re.sub(r"[^a-z0-9_]+", "_", text.lower()).strip("_")
+    return f"{'' if valid_text[:1].isalpha() else 'bus_'}{valid_text}"[:LONGEST_BUS_NAME].rstrip("_")

@@ -62,9 +62,9 @@ class RunContext:
 class SafeEnd(NamedTuple):
     """How a run ended, after every device was asked to be safe."""
 
-    confirmations: Mapping[str, Confirmation]  # by device, also of one that did not confirm
+    confirmations: Mapping[str, Confirmation]  # by device, also of a device that is not confirmed safe
     error: BaseException | None  # that ended the run early
-    out_of_order: bool  # whether the bench has to be latched for it
+    out_of_order: bool  # whether the bench has to be latched for the error
 
 
 def execute(
@@ -100,7 +100,7 @@ def execute(
         with (
             _watchdog_for(request, locks) as watchdog,
             runs_underway.announced(
-                *run_description, needed=not request.in_process, folder=state_folder
+                *run_description, is_needed=not request.in_process, folder=state_folder
             ) as announcement,
         ):
             windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)

@@ -50,14 +50,14 @@ class Bisection:
 
     @property
     def bracket(self) -> tuple[float, float]:
-        """The interval in which the outcome changes; NaN where it is not known."""
+        """The interval in which the outcome changes, in the unit of the setpoint; NaN while it is not known."""
         return (min(self.ends), max(self.ends)) if self.outcome == BRACKETED else (math.nan, math.nan)
 
     def take(self, met: bool) -> None:
-        """Take the outcome of a trial; keep the half of the interval at whose ends the outcomes differ."""
-        middle = self.setpoint
+        """Take the outcome of the trial at `setpoint`; keep the half interval at whose ends the outcomes differ."""
+        setpoint = self.setpoint
         if len(self.met) >= END_TRIALS:
-            self.ends[0 if met == self.met[0] else 1] = middle
+            self.ends[0 if met == self.met[0] else 1] = setpoint
         self.met.append(met)
 
     def __str__(self) -> str:
@@ -77,7 +77,7 @@ class Outcomes:
         self.searches: list[Bisection] = []
 
     def chosen(self, segment: Segment) -> Segment:
-        """Return a trial with the setpoint of its search, between the planned ends; other segments as they are."""
+        """Return a trial with the setpoint of its search, between the planned ends; return other segments unchanged."""
         trial = segment.trial
         if trial is None:
             return segment
@@ -127,17 +127,18 @@ class Outcomes:
         return [self._verdict(limit) for limit in limits]
 
     def _verdict(self, limit: SearchLimit) -> LimitVerdict:
-        searches = [search for search in self.searches if search.search.name == limit.search]
-        wanted = f"{limit.low:g} to {limit.high:g} {limit.unit} was required"
+        """Return the verdict on the interval that covers the brackets of all passes of a search."""
+        searches = [bisection for bisection in self.searches if bisection.search.name == limit.search]
+        requirement = f"{limit.low:g} to {limit.high:g} {limit.unit} was required"
         row: dict[str, Any] = {"bisect": limit.search, "lower": None, "upper": None, "units": limit.unit, "met": False}
-        if not searches or any(search.outcome != BRACKETED for search in searches):
+        if not searches or any(bisection.outcome != BRACKETED for bisection in searches):
             state = "has no interval in every pass" if searches else "was not done"
-            return LimitVerdict(limit, row, False, f"{limit.search} {state}, {wanted}")
+            return LimitVerdict(limit, row, False, f"{limit.search} {state}, {requirement}")
         conversion = converter(limit.unit, searches[0].search.quantity)
         assert conversion is not None  # the protocol was checked
-        low = min(search.bracket[0] for search in searches) / conversion.factor
-        high = max(search.bracket[1] for search in searches) / conversion.factor
+        low = min(bisection.bracket[0] for bisection in searches) / conversion.factor
+        high = max(bisection.bracket[1] for bisection in searches) / conversion.factor
         met = limit.low <= low and high <= limit.high
         row |= {"lower": low, "upper": high, "met": met}
         summary = f"{limit.search} is {low:.6g} to {high:.6g} {limit.unit}"
-        return LimitVerdict(limit, row, met, summary if met else f"{summary}, {wanted}")
+        return LimitVerdict(limit, row, met, summary if met else f"{summary}, {requirement}")

@@ -23,7 +23,7 @@ from leactl.safety.thermal.foresight import Forecast, Foresight
 from leactl.safety.thermal.guard import GuardSettings, ThermalGuard
 
 LONGEST_LABEL = 100  # characters; a label names a file, which may have 255 bytes
-STOPS_WITHIN_S = 0.02  # after its silence, within which a drive is without torque
+STOP_DELAY_S = 0.02  # a drive is without torque at the latest this long after its silence
 
 
 class Windings:
@@ -65,14 +65,20 @@ class Windings:
             for role, memory in memories.items()
         }
         if bench.emulated is not None:  # an emulated winding cannot burn: without a memory it is at ambient
-            fresh = {role for role, memory in memories.items() if not memory.known}
-            self.recalled |= {role: memories[role].cold() for role in fresh}
+            never_heated = {role for role, memory in memories.items() if not memory.known}
+            self.recalled |= {role: memories[role].cold() for role in never_heated}
         self.recalled |= recalled or {}
-        start = {role: known.nodes for role, known in self.recalled.items()}
+        start = {role: recalled_bounds.nodes for role, recalled_bounds in self.recalled.items()}
         self.guard = ThermalGuard(self.fed, self.settings, start)
-        self._foreseen: tuple[Plan, Forecast] | None = None
+        self._latest_forecast: tuple[Plan, Forecast] | None = None
         self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.node_bounds, ClockReadings.now)
-        self.may_be_left_on({role: known.left_on for role, known in self.recalled.items() if known.left_on is not None})
+        self.may_be_left_on(
+            {
+                role: recalled_bounds.left_on
+                for role, recalled_bounds in self.recalled.items()
+                if recalled_bounds.left_on is not None
+            }
+        )
 
     @contextmanager
     def remembered(self, before_writing: Callable[[], None] = lambda: None) -> Iterator[None]:
@@ -95,10 +101,10 @@ class Windings:
         finally:
             self.keeper.stop()
 
-    def may_be_left_on(self, reached: Mapping[str, float]) -> None:
-        """Store, in case this run dies, to what temperature a supply left on may bring each winding [degC], by role."""
+    def may_be_left_on(self, reached_temperatures: Mapping[str, float]) -> None:
+        """Store, in case this run dies, the temperature to which a supply left on may bring each winding [degC]."""
         if self.keeper is not None:
-            for role, hottest in reached.items():
+            for role, hottest in reached_temperatures.items():
                 self.keeper.left_on[role] = max(min(hottest, HOTTEST_DEGC), self.keeper.left_on.get(role, -math.inf))
 
     def end(self, confirmed: bool) -> None:
@@ -107,15 +113,15 @@ class Windings:
             self.keeper.doubted, self.keeper.seen_off = not confirmed, confirmed
 
     def forecast(self, plan: Plan) -> Forecast:
-        """Return the forecast of a plan; the latest one is cached."""
-        if self._foreseen is None or self._foreseen[0] is not plan:
-            self._foreseen = plan, self._foresight().forecast(plan)
-        return self._foreseen[1]
+        """Return the forecast of a plan; the latest forecast is cached."""
+        if self._latest_forecast is None or self._latest_forecast[0] is not plan:
+            self._latest_forecast = plan, self._foresight().forecast(plan)
+        return self._latest_forecast[1]
 
     def rest_before(self, plan: Plan) -> float | None:
-        """Return the rest [s] that keeps a plan below the limit: 0 if none is needed, None if none is enough."""
+        """Return the rest [s] that a plan needs before it: 0 if none is needed, None if no rest suffices."""
         if any(
-            known.left_on is not None for known in self.recalled.values()
+            recalled_bounds.left_on is not None for recalled_bounds in self.recalled.values()
         ):  # no rest counts while a supply may be on
             return 0.0 if self.forecast(plan).passing is None else None
         return self._foresight().rest_before(plan)
@@ -141,31 +147,31 @@ class Windings:
         forecast = self.forecast(plan)
         if forecast.passing is None:
             return plan
-        longer, longer_forecast = self._foresight().with_waits(plan)
-        if insert_cooldown and longer_forecast.passing is None:
-            self._foreseen = longer, longer_forecast
-            return longer
+        plan_with_waits, forecast_with_waits = self._foresight().with_waits(plan)
+        if insert_cooldown and forecast_with_waits.passing is None:
+            self._latest_forecast = plan_with_waits, forecast_with_waits
+            return plan_with_waits
         passing = forecast.passing
-        if longer_forecast.passing is None:
-            waits = longer.duration_s - plan.duration_s
-            helps = f"--insert-cooldown adds {waits:.0f} s of waiting, which is enough"
+        if forecast_with_waits.passing is None:
+            waits = plan_with_waits.duration_s - plan.duration_s
+            remedy = f"--insert-cooldown adds {waits:.0f} s of waiting, which is enough"
         elif insert_cooldown:
-            helps = "no wait helps"
+            remedy = "no wait helps"
         else:
-            helps = "no wait between its steps helps: shorten or lower them"
+            remedy = "no wait between its steps helps: shorten or lower them"
         if forecast.turning_from_hz is not None:
-            helps += f", or raise rate_Hz, {plan.rate_Hz:g} now: {standing_text(forecast.turning_from_hz)}"
-        known = "; ".join(
+            remedy += f", or raise rate_Hz, {plan.rate_Hz:g} now: {standing_text(forecast.turning_from_hz)}"
+        starts = "; ".join(
             f"{role} {start.known}, at most {start.nodes[0]:.0f} degC" for role, start in self.recalled.items()
         )
         raise InputError(
             f"protocol '{plan.name}': step '{passing.step}' may take the {passing.role} winding to its limit of"
-            f" {self.settings.limit:g} degC after {passing.time_s:.0f} s; {helps}"
-            f" ({known}; --cold where nothing has heated them)"
+            f" {self.settings.limit:g} degC after {passing.time_s:.0f} s; {remedy}"
+            f" ({starts}; --cold where nothing has heated them)"
         )
 
     def _foresight(self) -> Foresight:
-        start = {role: known.nodes for role, known in self.recalled.items()}
+        start = {role: recalled_bounds.nodes for role, recalled_bounds in self.recalled.items()}
         return Foresight(self.fed, self.settings, start)
 
 
@@ -175,11 +181,9 @@ def standing_text(turning_from_hz: float) -> str:
 
 
 def check_label(option: str, label: str) -> None:
-    """Refuse a label that is no short printable text.
+    """Raise InputError if a label is too long or not printable.
 
-    Raises
-    ------
-    InputError : the label is too long or not printable, with the option that gave it.
+    option : name of the option that gave the label, for the message.
     """
     if len(label) > LONGEST_LABEL:
         raise InputError(f"{option}: {len(label)} characters; at most {LONGEST_LABEL} were expected")
@@ -204,12 +208,12 @@ def motors_of(bench: BenchFile) -> dict[str, Motor]:
 
 
 def as_fed(motors: Mapping[str, Motor], devices: Sequence[CheckedDevice]) -> dict[str, Motor]:
-    """Return the motors with the tolerance of their current reading: the supply's for roles without a drive."""
+    """Return the motors by role; without a drive, the tolerance of the current is that of the supply's reading."""
     driven = {device.entry.role for device in devices if hasattr(registry.load(device.entry.driver), "engage")}
-    return {role: motor if role in driven else _supplied(motor) for role, motor in motors.items()}
+    return {role: motor if role in driven else _with_line_current_tolerance(motor) for role, motor in motors.items()}
 
 
-def _supplied(motor: Motor) -> Motor:
+def _with_line_current_tolerance(motor: Motor) -> Motor:
     """Return a motor whose tolerance of the current is that of the line current, if the file has one."""
     tolerances = motor.tolerances
     if tolerances is None or tolerances.line_current is None:
@@ -221,14 +225,14 @@ def guard_settings(bench: BenchFile, devices: Sequence[CheckedDevice], motors: M
     """Return the settings of the guard by a bench file; the lowest limit of bench and motors counts."""
     limits, ambient = bench.limits, bench.limits.ambient_temperature_degC
     silences = [silence for silence in host_silences(devices).values() if silence is not None]
-    # a supply waits for no sign of life: the run's watchdog switches it off when the loop stands still; where the run
-    # holds the line to it, once the run has been ended
-    supplied = any(hasattr(registry.load(device.entry.driver), "switch_on") for device in devices)
-    to_end = SAFE_STATE_S + time_to_end_s(len(devices)) if supplied else 0.0
+    # a supply expects no sign of life: the run's watchdog switches it off when the loop stands still, or, if the run
+    # holds the line to the supply, after it has ended the run
+    has_supply = any(hasattr(registry.load(device.entry.driver), "switch_on") for device in devices)
+    switch_off_s = SAFE_STATE_S + time_to_end_s(len(devices)) if has_supply else 0.0
     return GuardSettings(
         limit=min(Box.of(motor).limit(limits.winding_temperature_degC, ambient) for motor in motors.values()),
         ambient=ambient,
         most_current=limits.current_A,
         most_speed=limits.velocity_rad_s,
-        reserve_s=max(silences, default=SAFE_STATE_S) + to_end + STOPS_WITHIN_S,
+        reserve_s=max(silences, default=SAFE_STATE_S) + switch_off_s + STOP_DELAY_S,
     )

@@ -32,17 +32,17 @@ from leactl.safety.thermal.temperature_bound import HOUSING, ThermalBound
 
 FORMAT, VERSION = "leactl-thermal", 3
 WRITING_INTERVAL_S = 1.0
-FILE_BYTES = 4096  # so that each writing is one call and covers the previous one
+FILE_BYTES = 4096  # of every writing, so that each is one call and covers the previous one
 OVERDUE_S = 10.0  # time without a writing after which a run is ended
 
 
 @dataclass(frozen=True)
 class Recalled:
-    """Bounds to start from, and where they are known from."""
+    """Bounds to start from, and their source."""
 
     nodes: Array  # hottest phase, mean of the phases, housing [degC]
-    known: str
-    left_on: float | None = None  # degC that a supply, which may still be on, may bring the winding to
+    known: str  # source of the bounds, for a person
+    left_on: float | None = None  # degC, to which a supply that may still be on may bring the winding
 
 
 class Memory:
@@ -55,16 +55,16 @@ class Memory:
         self._descriptor: int | None = None  # of the file, open from the first writing until `close_file`
 
     def recall(self, now: ClockReadings) -> Recalled:
-        """Return the bounds of this actuator at the time `now`; hot where none can be read.
+        """Return the bounds of this actuator at the time `now`; it counts as hot if none can be read.
 
-        If several state folders have bounds, since not all users could write to one, the hottest count.
+        If several state folders have bounds, because not all users could write to the same folder, the hottest count.
         """
         recalled = [self._recall(path, now) for path in self._paths()]
         if not recalled:
             return self._hot("nothing is known of it")
-        hottest = np.maximum.reduce([item.nodes for item in recalled])
-        left_on = max((item.left_on for item in recalled if item.left_on is not None), default=None)
-        return Recalled(hottest, max(recalled, key=lambda item: float(item.nodes[0])).known, left_on)
+        hottest = np.maximum.reduce([bounds.nodes for bounds in recalled])
+        left_on = max((bounds.left_on for bounds in recalled if bounds.left_on is not None), default=None)
+        return Recalled(hottest, max(recalled, key=lambda bounds: float(bounds.nodes[0])).known, left_on)
 
     @property
     def known(self) -> bool:
@@ -73,16 +73,16 @@ class Memory:
 
     def _paths(self) -> list[Path]:
         """Return the files of this actuator in all state folders."""
-        several = self._folder.shared or self._folder.fault  # a rehearsal keeps its files apart
-        folders = [self._folder, *(state_folder.folders() if several else ())]
+        has_other_folders = self._folder.shared or self._folder.fault  # a rehearsal keeps its files apart
+        folders = [self._folder, *(state_folder.folders() if has_other_folders else ())]
         paths = dict.fromkeys(folder.winding_file(_file_name(self.actuator)) for folder in folders)
         return [path for path in paths if os.path.lexists(path)]
 
     def _recall(self, path: Path, now: ClockReadings) -> Recalled:
-        """Return the bounds by one file at the time `now`."""
+        """Return the bounds at the time `now` by one file; the actuator counts as hot if the file cannot be used."""
         try:
             nodes, written, running, left_on = self._read(path)
-            rested = now.surely_since(written)
+            rest_s = now.surely_since(written)
         except (OSError, ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:
             return self._hot(f"{path} cannot be used: {getattr(error, 'strerror', None) or error}")
         if running and left_on is not None:
@@ -91,24 +91,25 @@ class Memory:
                 np.full(3, hottest), f"a supply may heat it still, since {_time_text(written.wall)}", left_on
             )
         bound = ThermalBound([Box.of(self._motor)], self._ambient)
-        how = "at rest since"
+        origin = "at rest since"
         if running:
             # the guard would have ended the run at the limit; how long the run lasted is not known
             nodes[:HOUSING] = max(self._limit, *nodes[:HOUSING])
             bound.set(nodes[:, None])
             self._warm_housing(bound)
             nodes = np.array([nodes[0], nodes[1], bound.nodes()[HOUSING, 0]])
-            rested, how = max(rested - OVERDUE_S, 0.0), "its last run ended without a word after"
+            rest_s, origin = max(rest_s - OVERDUE_S, 0.0), "its last run ended without a word after"
         bound.set(nodes[:, None])
-        bound.rest(rested, self._ambient)
-        return Recalled(bound.nodes()[:, 0], f"{how} {_time_text(written.wall)}")
+        bound.rest(rest_s, self._ambient)
+        return Recalled(bound.nodes()[:, 0], f"{origin} {_time_text(written.wall)}")
 
     def keep(self, nodes: Array, now: ClockReadings, running: bool, left_on: float | None = None) -> None:
         """Write bounds in one call; a file that is cut short nevertheless counts as hot.
 
         nodes : bounds of hottest phase, mean of the phases and housing [degC].
-        left_on : temperature that a supply, if the run may switch one on, would bring the winding to if the run
-            died [degC].
+        running : whether a run is under way; if the file still says so when it is recalled, the run has died.
+        left_on : temperature to which a supply that the run may switch on would bring the winding if the run died
+            [degC]; None if it switches none on.
 
         Raises
         ------
@@ -144,12 +145,13 @@ class Memory:
             os.close(descriptor)
 
     def cold(self) -> Recalled:
-        """Return bounds at ambient throughout, for an actuator that a person says is cold."""
+        """Return bounds at the highest ambient in every node, for an actuator that a person says is cold."""
         start = self._ambient + Box.of(self._motor).ambient_rise
         return Recalled(np.full(3, start), "said to be cold")
 
-    def _hot(self, why: str) -> Recalled:
-        return Recalled(np.full(3, self._limit), f"counts as hot: {why}")
+    def _hot(self, reason: str) -> Recalled:
+        """Return bounds at the limit in every node, for an actuator of which nothing certain is known."""
+        return Recalled(np.full(3, self._limit), f"counts as hot: {reason}")
 
     def _warm_housing(self, bound: ThermalBound) -> None:
         """Warm the housing of a bound for `OVERDUE_S` while its winding is held where it is."""
@@ -206,10 +208,11 @@ class Keeper:
         self._fault = ""
         self._written = clock()
         self.before_writing: Callable[[], None] = lambda: None  # called before each writing of the thread
-        self.left_on: dict[str, float] = {}  # degC by role, to which a supply may bring a winding if this process dies
+        # degC by role, to which a supply may bring a winding if this process dies
+        self.left_on: dict[str, float] = {}
         self.seen_off = False  # whether every device has been confirmed safe
         self.doubted = False  # whether a device may still heat the windings after the run
-        self._thread = threading.Thread(target=self._keep_on, name="leactl-thermal", daemon=True)
+        self._thread = threading.Thread(target=self._write_on, name="leactl-thermal", daemon=True)
 
     def start(self) -> None:
         """Write once, then start the thread.
@@ -226,11 +229,13 @@ class Keeper:
 
     def fault(self) -> str:
         """Return why nothing has been written for `OVERDUE_S`; empty if the last writing is more recent."""
-        since = self._clock().since_boot - self._written.since_boot
-        return f"the windings' state was not written for {since:.0f} s: {self._fault}" if since > OVERDUE_S else ""
+        silence_s = self._clock().since_boot - self._written.since_boot
+        return (
+            f"the windings' state was not written for {silence_s:.0f} s: {self._fault}" if silence_s > OVERDUE_S else ""
+        )
 
     def stop(self) -> None:
-        """Write a last time, as at rest unless `doubted`; if that fails, all counts as hot in the next run."""
+        """Write a last time, as at rest unless `doubted`; if that fails, the windings count as hot in the next run."""
         self._ended.set()
         self._thread.join(OVERDUE_S)
         with suppress(OSError):
@@ -238,7 +243,8 @@ class Keeper:
         for memory in self._memories.values():
             memory.close_file()
 
-    def _keep_on(self) -> None:
+    def _write_on(self) -> None:
+        """Write once in each interval until `stop`, and keep the text of a failure."""
         while not self._ended.wait(WRITING_INTERVAL_S):
             self.before_writing()
             try:
@@ -247,6 +253,12 @@ class Keeper:
                 self._fault = str(error)
 
     def _write(self, running: bool) -> None:
+        """Write the bounds of every role.
+
+        Raises
+        ------
+        OSError : a file cannot be written.
+        """
         now = self._clock()
         for role, nodes in self._nodes().items():
             left_on = None if self.seen_off else self.left_on.get(role)
@@ -255,11 +267,12 @@ class Keeper:
 
 
 def _file_name(actuator: str) -> str:
+    """Return the name of an actuator's file, with `_` for characters that a file name may not have."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", actuator)
 
 
 def _time_text(time: float) -> str:
-    """Return a time of the wall clock [s] in ISO 8601, or as a number where no calendar has it."""
+    """Return a time of the wall clock [s] in ISO 8601, or as a number if it is outside the calendar."""
     from datetime import UTC, datetime
 
     try:

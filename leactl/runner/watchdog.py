@@ -23,15 +23,15 @@ from leactl.driver.contract import SAFE_STATE_S
 from leactl.errors import LeactlError
 from leactl.runner.latch import Latch
 
-# words of the shared memory; an allowed silence of 0 means that the loop is not watched
+# indices of the words in the shared memory; an allowed silence of 0 means that the loop is not watched
 CYCLES, ALLOWED_NS, FIRED_NS = range(3)
 WORDS = 3
-LEAST_SILENT_CYCLES = 3  # silence that is allowed in any case, in cycles: a slow loop does not hang
+LEAST_SILENT_CYCLES = 3  # so many cycles of silence are always allowed, because a slow loop does not hang
 READY_TIMEOUT_S = 20.0  # for the start of the process: 0.35 s on an idle machine, most of it imports
 GRACE_S = 2.0  # for an orderly end, in addition to the time that the devices may take
 REARM_EVERY_S = 0.5  # of the timer that ends a run whose watchdog has died
-REARMED_WITHIN_CYCLES = 100  # at the latest; the loop checks its watchdog far more often
-LAST_RESORT_S = 15.0  # beyond the time of an orderly end, in which a living watchdog acts before the timer
+REARMED_WITHIN_CYCLES = 100  # the timer is rearmed within as many cycles; the loop checks its watchdog far more often
+LAST_RESORT_S = 15.0  # of the timer beyond the time of an orderly end, so that a living watchdog acts first
 
 
 def standstill_text(process: int, silence_ns: int, allowed_ns: int) -> str:
@@ -128,9 +128,11 @@ class Watchdog(NoWatchdog):
         """
         answers = self._process.stdout
         assert answers is not None
-        ready = select.select([answers], [], [], READY_TIMEOUT_S)[0]
+        readable = select.select([answers], [], [], READY_TIMEOUT_S)[0]
         answer = (
-            answers.readline().decode(errors="replace").strip() if ready else f"no answer within {READY_TIMEOUT_S:g} s"
+            answers.readline().decode(errors="replace").strip()
+            if readable
+            else f"no answer within {READY_TIMEOUT_S:g} s"
         )
         if answer != "ready":
             raise LeactlError(f"the run's watchdog did not start: {answer or 'it ended without a word'}")
@@ -154,6 +156,7 @@ class Watchdog(NoWatchdog):
         self._allow(self._end_ns)
 
     def _allow(self, silence_ns: int) -> None:
+        """Count a cycle, allow this silence [ns] unless the watchdog has acted, and rearm the timer."""
         self.sign[CYCLES] += 1
         if not self.sign[FIRED_NS]:
             self.sign[ALLOWED_NS] = silence_ns
@@ -166,9 +169,9 @@ class Watchdog(NoWatchdog):
         is not latched then; the next start finds a lost run, and latches it.
         """
         self._rearmed_at = time.monotonic()
-        last_s = 1e-9 * self._end_ns + LAST_RESORT_S + REARMED_WITHIN_CYCLES * self._period
+        timeout_s = 1e-9 * self._end_ns + LAST_RESORT_S + REARMED_WITHIN_CYCLES * self._period
         with suppress(RuntimeError, MemoryError):  # no memory for a thread now: rearmed at the next call of `fault`
-            faulthandler.dump_traceback_later(last_s, exit=True, file=self._null_file)
+            faulthandler.dump_traceback_later(timeout_s, exit=True, file=self._null_file)
 
     def dismiss(self) -> None:
         """End the process in order and wait for its end; harmless if it has ended."""
@@ -178,12 +181,12 @@ class Watchdog(NoWatchdog):
         """Have the process make the devices safe and latch the bench, and wait for its end."""
         self._send_last("unsafe " + " ".join(doubt.split()))
 
-    def _send_last(self, word: str) -> None:
+    def _send_last(self, line: str) -> None:
         """Send a last line, wait for the end of the process, and kill it if it does not end in time."""
         faulthandler.cancel_dump_traceback_later()
         process = self._process
         if process.stdin is not None and not process.stdin.closed:
-            self._send(word)
+            self._send(line)
             with suppress(BrokenPipeError):
                 process.stdin.close()
         try:
@@ -196,7 +199,7 @@ class Watchdog(NoWatchdog):
         self._null_file.close()
 
     def fault(self) -> str:
-        """Return why the run is no longer watched, empty while it is; rearm the timer of the last resort."""
+        """Return why the run is no longer watched, or an empty string while it is; rearm the timer if that is due."""
         if time.monotonic() - self._rearmed_at > REARM_EVERY_S:
             self._rearm()
         status = self._process.poll()

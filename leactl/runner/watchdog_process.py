@@ -66,9 +66,10 @@ class Inbox:
             self.done = self.done or word == b"done"
 
     def _read(self) -> None:
-        read = os.read(0, 65536)
-        self.ended = not read
-        self._line += read
+        """Wait for bytes on stdin and keep them; no bytes mean that the run's process has ended."""
+        received = os.read(0, 65536)
+        self.ended = not received
+        self._line += received
 
 
 def main() -> None:
@@ -89,7 +90,7 @@ def main() -> None:
             wiring = MachineWiring()
             bench = Bench(file, check_devices(file), wiring)
             wiring.load(file.buses.values())
-        spare = [os.open(os.devnull, os.O_RDONLY) for _ in range(SPARE_DESCRIPTORS)]
+        spare_descriptors = [os.open(os.devnull, os.O_RDONLY) for _ in range(SPARE_DESCRIPTORS)]
     except Exception as error:  # noqa: BLE001 (a foreign plug-in may fail in any way; the run is told, and not begun)
         print(f"{type(error).__name__}: {error}".splitlines()[0], flush=True)
         return
@@ -103,7 +104,7 @@ def main() -> None:
     process = int(orders["process"])
     cause = watch(process, sign, inbox)
     if cause:
-        for descriptor in spare:
+        for descriptor in spare_descriptors:
             os.close(descriptor)
         stop_and_latch(latch, bench, process, cause, inbox)
     latch.close()
@@ -111,10 +112,10 @@ def main() -> None:
 
 def watch(process: int, sign: "memoryview[int]", inbox: Inbox) -> str:
     """Watch until the run's end; return the cause of an end that is not orderly, else an empty string."""
-    seen, since = -1, 0
+    seen_count, changed_at = -1, 0
     while True:
-        allowed = sign[ALLOWED_NS]
-        inbox.wait(allowed * 1e-9 / CHECKS_PER_SILENCE if allowed else IDLE_CHECK_S)
+        allowed_ns = sign[ALLOWED_NS]
+        inbox.wait(allowed_ns * 1e-9 / CHECKS_PER_SILENCE if allowed_ns else IDLE_CHECK_S)
         if inbox.unsafe:
             return f"the run ended, and: {inbox.unsafe}"
         if inbox.done:
@@ -122,11 +123,11 @@ def watch(process: int, sign: "memoryview[int]", inbox: Inbox) -> str:
         if inbox.ended:
             return f"process {process} of the run ended without making the bench safe"
         now, count = time.monotonic_ns(), sign[CYCLES]
-        if count != seen or not allowed:
-            seen, since = count, now
-        elif now - since > allowed:
-            sign[FIRED_NS] = now - since
-            return standstill_text(process, now - since, allowed)
+        if count != seen_count or not allowed_ns:
+            seen_count, changed_at = count, now
+        elif now - changed_at > allowed_ns:
+            sign[FIRED_NS] = now - changed_at
+            return standstill_text(process, now - changed_at, allowed_ns)
 
 
 def protect_process() -> None:
@@ -139,16 +140,16 @@ def protect_process() -> None:
 def stop_and_latch(latch: OpenLatch, bench: Bench | None, process: int, cause: str, inbox: Inbox) -> None:
     """Make the devices safe, end the run's process, make them safe again if unconfirmed, and latch the bench."""
     devices = bench.in_order_of_stop if bench else []
-    safe = stop_devices(bench)
+    confirmations = stop_devices(bench)
     say(cause)
     if not (inbox.ended or inbox.unsafe):
         end(process, time_to_end_s(len(devices)), inbox)
-        if unconfirmed_devices(safe):  # the process may have held a line that allows no second connection
-            safe = stop_devices(bench)
-    for device, confirmation in safe.items():
+        if unconfirmed_devices(confirmations):  # the process may have held a line that allows no second connection
+            confirmations = stop_devices(bench)
+    for device, confirmation in confirmations.items():
         say(f"{device}: {confirmation.detail}")
-    if unconfirmed_devices(safe):
-        say(unconfirmed_devices(safe))
+    if unconfirmed_devices(confirmations):
+        say(unconfirmed_devices(confirmations))
     try:
         latch.set(cause, Path(inbox.run))
     except LeactlError as error:
@@ -159,24 +160,24 @@ def stop_devices(bench: Bench | None) -> dict[str, Confirmation]:
     """Make every device safe over fresh connections, and close these."""
     if bench is None:
         return {}
-    safe = make_safe(bench.in_order_of_stop)
+    confirmations = make_safe(bench.in_order_of_stop)
     bench.close()
-    return safe
+    return confirmations
 
 
 def end(process: int, grace_s: float, inbox: Inbox) -> None:
     """End the hung process: ask it for an orderly end first, then kill it."""
     ask(process, signal.SIGTERM)
     ask(process, signal.SIGCONT)  # a process stopped by Ctrl-Z can then end itself as well
-    until = time.monotonic() + grace_s
-    while not (inbox.done or inbox.ended) and time.monotonic() < until:
+    deadline = time.monotonic() + grace_s
+    while not (inbox.done or inbox.ended) and time.monotonic() < deadline:
         inbox.wait(IDLE_CHECK_S)
     if inbox.done or inbox.ended:
         return
     say(f"process {process} does not end by itself and is killed")
     ask(process, signal.SIGKILL)
-    until = time.monotonic() + KILL_TIMEOUT_S
-    while not inbox.ended and time.monotonic() < until:
+    deadline = time.monotonic() + KILL_TIMEOUT_S
+    while not inbox.ended and time.monotonic() < deadline:
         inbox.wait(IDLE_CHECK_S)
 
 
@@ -187,7 +188,7 @@ def ask(process: int, number: signal.Signals) -> None:
 
 
 def say(text: str) -> None:
-    """Write one line to stderr if it takes it: a terminal held by Ctrl-S must not delay the end."""
+    """Write one line to stderr if stderr takes it in time: a terminal held by Ctrl-S must not delay the end."""
     with suppress(OSError):
         if select.select([], [2], [], STDERR_TIMEOUT_S)[1]:
             os.write(2, f"leactl watchdog: {text}\n".encode())

@@ -158,7 +158,7 @@ def test_a_bent_file_beside_that_of_a_run_keeps_nobody_from_stopping_it(bend):
     runs = state_folder.of_user().runs
     kind = bend(runs / "other.1.abcd.run")
     regular = (runs / "other.1.abcd.run").is_file() and not (runs / "other.1.abcd.run").is_symlink()
-    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True) as run:
+    with runs_underway.announced("rig", "rig.yaml", "hold", is_needed=True) as run:
         answers = []
         asking = threading.Thread(target=lambda: answers.append(leactl("bench", "stop", "--wait", "0", "--json")))
         asking.start()
@@ -197,7 +197,7 @@ def test_where_the_user_s_runs_are_bent_those_of_the_machine_are_stopped(tmp_pat
     bent = state_folder.of_user().runs
     bent.parent.mkdir(parents=True, exist_ok=True)
     BENT[kind](bent)
-    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, folder=state_folder.of_machine()) as run:
+    with runs_underway.announced("rig", "rig.yaml", "hold", is_needed=True, folder=state_folder.of_machine()) as run:
         done = leactl("bench", "stop", "--wait", "0")
         assert run.stop_cause()
     assert done.returncode == 5
@@ -257,7 +257,7 @@ def test_without_a_home_the_machine_s_runs_are_stopped_all_the_same(tmp_path, mo
         raise RuntimeError("Could not determine home directory.")
 
     monkeypatch.setattr(Path, "home", homeless)
-    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, folder=state_folder.of_machine()):
+    with runs_underway.announced("rig", "rig.yaml", "hold", is_needed=True, folder=state_folder.of_machine()):
         runs, faults = runs_underway.running()
     assert [run.bench for run in runs] == ["rig"]
     assert faults == ["there is no home directory for leactl's state; set LEACTL_STATE to a directory"]
@@ -268,7 +268,7 @@ def test_without_a_home_the_machine_s_runs_are_stopped_all_the_same(tmp_path, mo
 
 @pytest.mark.parametrize("how", ["removed", "moved", "replaced", "bent", "folder removed"])
 def test_a_run_whose_file_goes_is_found_again(how):
-    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True) as run:
+    with runs_underway.announced("rig", "rig.yaml", "hold", is_needed=True) as run:
         run.renew()
         [path] = state_folder.of_user().runs.glob("*.run")
         run.tell(run="here.h5")
@@ -460,7 +460,7 @@ def test_a_bent_text_in_a_latch_holds_and_moves_no_terminal(held, testbed, key, 
 @pytest.mark.parametrize("key", ["bench", "file", "protocol", "process", "status", "reason", "run"])
 @pytest.mark.parametrize("text", [*TEXTS.values(), ["a list"], None], ids=[*TEXTS, "a list", "null"])
 def test_a_bent_text_in_a_run_s_file_is_stopped_and_moves_no_terminal(key, text):
-    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True) as run:
+    with runs_underway.announced("rig", "rig.yaml", "hold", is_needed=True) as run:
         run.tell(**{key: text})
         done = leactl("bench", "stop", "--wait", "0")
         assert run.stop_cause()

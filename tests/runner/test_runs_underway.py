@@ -148,7 +148,7 @@ def test_a_run_is_locked_before_it_can_be_found(monkeypatch):
         lock(descriptor, how)
 
     monkeypatch.setattr(fcntl, "flock", slow)
-    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True):
+    with runs_underway.announced("rig", "rig.yaml", "hold", is_needed=True):
         assert seen == []
         (run,), _faults = runs_underway.running()
         run.close()
@@ -162,7 +162,7 @@ def test_without_a_place_a_rehearsal_goes_on_and_says_so_and_a_real_run_is_refus
         (event,) = [event for event in run.events if event.level == "warning"]
     assert event.message.startswith("/proc/nowhere/runs: `leactl bench stop` cannot reach this run: ")
     refused = pytest.raises(InputError, match="set LEACTL_STATE to a directory that can be written")
-    with refused, runs_underway.announced("rig", "rig.yaml", "hold", needed=True):
+    with refused, runs_underway.announced("rig", "rig.yaml", "hold", is_needed=True):
         raise AssertionError
 
 

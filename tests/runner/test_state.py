@@ -207,7 +207,7 @@ def test_files_that_are_no_run_s_stop_no_stop(tmp_path):
     place = state_folder.of_user().runs
     for kind in ("pipe", "dangling", "endless", "folder"):
         bent(place / f"{kind}.run", kind)
-    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True):
+    with runs_underway.announced("rig", "rig.yaml", "hold", is_needed=True):
         runs, faults = runs_underway.running()
     assert [run.bench for run in runs] == ["rig"]
     assert len(faults) == 4  # one of them may stand where the file of a run was
@@ -249,7 +249,7 @@ def test_windings_of_one_user_are_kept_on_by_another(open_machine):
 
 @ROOT
 def test_every_user_may_stop_what_runs_on_real_buses(open_machine):
-    with runs_underway.announced("rig", "rig.yaml", "hold", needed=True, folder=state_folder.of_machine()) as run:
+    with runs_underway.announced("rig", "rig.yaml", "hold", is_needed=True, folder=state_folder.of_machine()) as run:
         assert as_another_user(lambda: runs_underway.running()[0][0].ask_to_stop()) == "None"
         assert run.stop_cause()
 

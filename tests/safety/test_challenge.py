@@ -28,7 +28,7 @@ def test_every_course_is_one_that_the_bench_could_run(seed, rate, reading):
     genes = np.random.default_rng(seed).random(GENES)
     found = course(genes, LEA, SETTINGS, 1.0 / rate, 2.0, reading)
     assert np.all((found.currents >= 0.0) & (found.currents <= SETTINGS.most_current))
-    fine, parts = found.passed.ravel(), found.passed.shape[1]
+    fine, parts = found.passed_angles.ravel(), found.passed_angles.shape[1]
     step = found.interval / parts
     # between instants a step apart: where a rotor comes to rest, two accelerations meet within one
     assert np.max(np.abs(np.diff(fine, 2))) / step**2 <= FASTEST * 1.001

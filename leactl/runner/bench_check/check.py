@@ -27,7 +27,7 @@ from leactl.safety.thermal.box import Box
 
 READ_S = 0.8  # less than `stuck_s: 1`, so that a dead channel is reported before it trips the bench
 STEP_S = 1e-3  # of the integration of a move: a hundredth of the time constants of actuators, or less
-LEAST_CURRENT_SHARE, MOST_CURRENT_SHARE = 0.03, 0.2  # of the continuous current
+LEAST_CURRENT_SHARE, MOST_CURRENT_SHARE = 0.03, 0.2  # of the continuous current: bounds of the current of a move
 FRICTION_MULTIPLE = 2.0  # of the current that overcomes the friction of the motor files
 MOST_SPEED_SHARE = 0.5  # of the velocity limit; a current is halved until the shaft stays below this speed
 
@@ -184,12 +184,12 @@ def check_bench(
     return BenchCheck(name, statements, (at_rest_outcome, turning_outcome), turning_outcome.error)
 
 
-def _move(file: BenchFile, roles: Sequence[str], chosen: float | None, setup: str) -> Move:
+def _move(file: BenchFile, roles: Sequence[str], chosen_current: float | None, setup: str) -> Move:
     """Return the currents of a move, with the highest speed and travel within the friction of the motor files.
 
     Parameters
     ----------
-    chosen : current of each drive [A]; None: see `request_turning`.
+    chosen_current : of each drive [A]; None: see `request_turning`.
 
     Raises
     ------
@@ -197,16 +197,20 @@ def _move(file: BenchFile, roles: Sequence[str], chosen: float | None, setup: st
     """
     motors, limits, currents, swings = motors_of(file), file.limits, dict[str, float](), [(0.0, 0.0)]
     for role in roles:
-        motor, turned = motors[role], list(motors.values()) if setup == "coupled" else [motors[role]]
-        friction = sum(Box.of(turned_motor).coulomb_friction.high for turned_motor in turned) / motor.torque_constant
+        motor, turned_motors = motors[role], list(motors.values()) if setup == "coupled" else [motors[role]]
+        friction = (
+            sum(Box.of(turned_motor).coulomb_friction.high for turned_motor in turned_motors) / motor.torque_constant
+        )
         rated = motor.continuous_current or limits.current_A
-        current = chosen or min(
+        current = chosen_current or min(
             max(FRICTION_MULTIPLE * friction, LEAST_CURRENT_SHARE * rated), MOST_CURRENT_SHARE * rated
         )
-        while _swing(motor, turned, current)[0] > MOST_SPEED_SHARE * limits.velocity_rad_s and not chosen:
+        while (
+            _swing(motor, turned_motors, current)[0] > MOST_SPEED_SHARE * limits.velocity_rad_s and not chosen_current
+        ):
             current /= 2.0
         currents[role] = float(f"{current:.3g}")
-        swings.append(_swing(motor, turned, currents[role]))
+        swings.append(_swing(motor, turned_motors, currents[role]))
     speeds, travels = zip(*swings, strict=True)  # both drives may turn one shaft the same way
     move = Move(currents, max(speeds), sum(travels) if setup == "coupled" else max(travels))
     if not currents:
@@ -218,7 +222,7 @@ def _move(file: BenchFile, roles: Sequence[str], chosen: float | None, setup: st
     return move
 
 
-def _swing(motor: Motor, turned: Sequence[Motor], current: float) -> tuple[float, float]:
+def _swing(motor: Motor, turned_motors: Sequence[Motor], current: float) -> tuple[float, float]:
     """Return the highest speed [rad/s] and travel [rad] of one swing of the shaft and the pause after it.
 
     The maxima are over the ranges of friction in the motor files: with a little friction a shaft may go farther to one
@@ -227,20 +231,20 @@ def _swing(motor: Motor, turned: Sequence[Motor], current: float) -> tuple[float
     Parameters
     ----------
     motor : the motor that drives the swing.
-    turned : all motors on the shaft.
+    turned_motors : all motors on the shaft.
     current : amplitude of the swing [A].
     """
-    boxes = [Box.of(turned_motor) for turned_motor in turned]
+    boxes = [Box.of(turned_motor) for turned_motor in turned_motors]
     losses = [box.coulomb_friction for box in boxes], [box.viscous_damping for box in boxes]
     levels = (
         np.linspace(sum(bounds.low for bounds in ranges), sum(bounds.high for bounds in ranges), 5) for ranges in losses
     )
     friction, damping = (grid.ravel() for grid in np.meshgrid(*levels))
-    inertia = sum(turned_motor.rotor_inertia for turned_motor in turned)
+    inertia = sum(turned_motor.rotor_inertia for turned_motor in turned_motors)
     waveform = by_hand.swing(np.arange(round(by_hand.SWING_S * by_hand.RATE_HZ)) / by_hand.RATE_HZ)
-    cycles = np.append(waveform, np.zeros(round(by_hand.REST_S * by_hand.RATE_HZ)))
+    torque_shape = np.append(waveform, np.zeros(round(by_hand.REST_S * by_hand.RATE_HZ)))
     speed = angle = fastest = farthest = np.zeros(len(friction))
-    for torque in np.repeat(motor.torque_constant * current * cycles, round(1.0 / by_hand.RATE_HZ / STEP_S)):
+    for torque in np.repeat(motor.torque_constant * current * torque_shape, round(1.0 / by_hand.RATE_HZ / STEP_S)):
         before_friction = speed + STEP_S / inertia * (torque - damping * speed)
         remaining = np.abs(before_friction) - STEP_S / inertia * friction  # friction stops a shaft and never turns it
         speed = np.copysign(np.maximum(remaining, 0.0), before_friction)

@@ -30,7 +30,7 @@ Array = npt.NDArray[np.float64]
 INERTIA_FACTOR = 3.0  # to the motor files' inertia, at most, by couplings and sensors; wrong counts give a factor of 4
 SLOW_SHARE = 0.2  # of the highest speed; below, friction may change its sign between two samples
 FEWEST_SAMPLES = 20  # of a slope
-WINDOW_SAMPLES = 5  # over which the change of the angle is compared with the velocity
+WINDOW_SAMPLES = 5  # the change of the angle is compared with the velocity over as many samples
 TURNED_RAD = 0.02  # least travel of a shaft that has turned, far above its torsion and the counts of an encoder
 LAG_ERROR = 0.01  # of a ratio of two channels of motion, by the lag of a filter
 LOOP_ERROR = 0.1  # relative, of a current whose demand swings at 2 Hz
@@ -93,7 +93,7 @@ def slopes(columns: Array, response: Array) -> list[Slope]:
     return [Slope(float(value), standard_error(part)) for value, part in zip(coefficients, influence.T, strict=True)]
 
 
-def of_size_one(slope: Slope) -> bool:
+def is_of_size_one(slope: Slope) -> bool:
     """Return whether a ratio of two channels of motion may be 1 or -1."""
     size = abs(slope.value)
     return abs(math.log(size)) < LAG_ERROR + DEVIATION_STDS * slope.std / size
@@ -101,20 +101,20 @@ def of_size_one(slope: Slope) -> bool:
 
 def factor_of_a_turn(slope: Slope, pole_pairs: int) -> str:
     """Return the probable cause of a factor between two angles or velocities, as text; empty if none is known."""
-    size, turned = abs(slope.value), "turned" if slope.value < 0.0 else ""
+    size, sign_text = abs(slope.value), "turned" if slope.value < 0.0 else ""
     error = DEVIATION_STDS * slope.std / size
-    if of_size_one(slope):
-        return f"turned, by {size:.3g}" if turned and abs(math.log(size)) > LAG_ERROR else turned
+    if is_of_size_one(slope):
+        return f"turned, by {size:.3g}" if sign_text and abs(math.log(size)) > LAG_ERROR else sign_text
     name, number = convention(size, error), whole_number(size, error)
     if name in UNIT_FACTORS and number is None:
-        return " and ".join(filter(None, (turned, f"near {name}: another unit")))
+        return " and ".join(filter(None, (sign_text, f"near {name}: another unit")))
     if number is None:
-        return f"turned, and by {size:.4g}, which is no usual factor" if turned else ""
+        return f"turned, and by {size:.4g}, which is no usual factor" if sign_text else ""
     inverse = "1/" if size < 1.0 else ""
     cause = (
         "pole pairs" if number == pole_pairs else "lines for counts" if number in (2, 4) else "a gear, or pole pairs"
     )
-    return " and ".join(filter(None, (turned, f"near {inverse}{number}: {cause}")))
+    return " and ".join(filter(None, (sign_text, f"near {inverse}{number}: {cause}")))
 
 
 class Turning:
@@ -134,14 +134,14 @@ class Turning:
             why = f"{silence}: is its cable, or its bus, loose?"
             yield Statement(silence.device, f"{quantity} of {role}", StatementVerdict.WRONG, why=why)
         for role in self._drives:
-            yield from self._drive(role)
+            yield from self._drive_statements(role)
         torques = self._torques()
         if self._request.plan.setup == "coupled" and len(self._drives) == 2:
-            yield self._shaft(torques)
+            yield self._shaft_statement(torques)
         if self._run.has("torque"):
-            yield from self._torque(torques)
+            yield from self._torque_statements(torques)
 
-    def _drive(self, role: str) -> Iterator[Statement]:
+    def _drive_statements(self, role: str) -> Iterator[Statement]:
         """Yield the statements on a drive's current, its direction, and the agreement of its velocity and angle."""
         motion, name = self._motions[role], self._drives[role].name
         demanded = motion.on & (motion.demand != 0.0)
@@ -152,7 +152,7 @@ class Turning:
         else:
             why = self._silence_of(role, "q_axis_current", "drive_enabled") or ENDED_EARLY
             yield Statement(name, "current over its demand", StatementVerdict.UNDECIDED, why=why)
-        yield self._direction(role)
+        yield self._direction_statement(role)
         yield self._angle_over_velocity(role, *motion.travels())
 
     def _silence_of(self, role: str, *quantities: str) -> str:
@@ -160,7 +160,7 @@ class Turning:
         silent = [(name, self._silences[name, role]) for name in quantities if (name, role) in self._silences]
         return "; ".join(f"{name} of {role}: {silence}" for name, silence in silent)
 
-    def _direction(self, role: str) -> Statement:
+    def _direction_statement(self, role: str) -> Statement:
         """State whether a positive current accelerates the shaft forwards, by the sign of the fitted inertia."""
         motion, name, about = self._motions[role], self._drives[role].name, "inertia that its current turns"
         moving = motion.on & (np.abs(motion.velocity) > TURNING_RAD_S)
@@ -221,7 +221,7 @@ class Turning:
         advice = f"divide the angle's scale by {fitted[0].value:.4g}, or multiply the velocity's by it"
         return replace(statement, why=cause, change=setting(self._request, device, COUNT_SETTINGS, advice))
 
-    def _shaft(self, torques: Mapping[str, Sequence[Slope]]) -> Statement:
+    def _shaft_statement(self, torques: Mapping[str, Sequence[Slope]]) -> Statement:
         """State whether the velocities of both drives are those of one shaft."""
         test, load = (self._motions[role].velocity for role in ("test", "load"))
         about, device = "velocity over that of test", self._drives["load"]
@@ -240,7 +240,7 @@ class Turning:
         if statement.verdict is not StatementVerdict.WRONG:
             return statement
         slope, cause = fitted[0], factor_of_a_turn(fitted[0], self._motors["test"].pole_pairs)
-        if slope.value < 0.0 and of_size_one(slope):
+        if slope.value < 0.0 and is_of_size_one(slope):
             line = setting(self._request, device, ("sign",), "turn it: the drive is mounted the other way")
             return replace(statement, why=cause, change=line)
         errors = {role: self._inertia_error(role, fit) for role, fit in torques.items() if fit}
@@ -283,7 +283,7 @@ class Turning:
             fits[role] = slopes(design[moving], torque.values[moving])
         return fits
 
-    def _torque(self, fits: Mapping[str, Sequence[Slope]]) -> Iterator[Statement]:
+    def _torque_statements(self, fits: Mapping[str, Sequence[Slope]]) -> Iterator[Statement]:
         """State whether the torque sensor agrees with the currents and the torque constants of the motor files."""
         about, statements = "torque of its current over the motor file's", dict[str, Statement]()
         for role in self._drives if self._request.plan.setup == "coupled" else ():
@@ -293,9 +293,9 @@ class Turning:
                 relative = (fit[CONSTANT].value / constant, fit[CONSTANT].std / constant)
                 statements[role] = ratio(name, about, *relative, TORQUE_CONSTANT_LOSS)
             else:
-                one_drive = "it takes a shaft that either drive turns, in turn"
+                hint = "it takes a shaft that either drive turns, in turn"
                 silent = [self._silence_of("test", "torque"), self._silence_of(role, "q_axis_current", "velocity")]
-                why = "; ".join(filter(None, silent)) or (one_drive if self._run.status == "complete" else ENDED_EARLY)
+                why = "; ".join(filter(None, silent)) or (hint if self._run.status == "complete" else ENDED_EARLY)
                 statements[role] = Statement(name, about, StatementVerdict.UNDECIDED, why=why)
         factors = {
             role: statement.measured

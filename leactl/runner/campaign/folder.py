@@ -86,7 +86,7 @@ def resumable(
 def refuse_changed(
     campaign: Campaign, journal: Journal, progress: CampaignProgress, runs: Mapping[str, str], accept: bool
 ) -> None:
-    """Refuse to go on with a campaign whose runs were changed since it began.
+    """Raise InputError for a campaign whose runs were changed since it began.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def refuse_changed(
 
 
 def refuse_lost(progress: CampaignProgress) -> None:
-    """Refuse to go on with a campaign if the files of finished runs are lost.
+    """Raise InputError for a campaign of which the files of finished runs are lost.
 
     Raises
     ------

@@ -129,10 +129,12 @@ def read(folder: Path, campaign: Campaign) -> Journal | None:
 
 
 def _digest(body: dict[str, Any]) -> str:
+    """Return the checksum of a journal without its own entry `sha256`."""
     return sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
 
 
 def _damaged(path: Path, reason: str) -> InputError:
+    """Return the error for a journal that is damaged."""
     return InputError(
         f"{path}: damaged: {reason}; move it away and start again: finished runs are found by their own files"
     )

@@ -6,7 +6,7 @@ from hashlib import sha256
 from typing import Literal
 
 Level = Literal["actuators", "conditions", "steps", "repeats"]
-# outermost first: what takes a person longest to change is changed least often
+# outermost first: the level that takes a person longest to change is changed least often
 DEFAULT_ORDER: tuple[Level, ...] = ("actuators", "conditions", "steps", "repeats")
 
 

@@ -9,10 +9,10 @@ import numpy.typing as npt
 from leactl.errors import InputError
 
 Array = npt.NDArray[np.float64]
-FIRST_DRAWS, KEPT_PER_KIND = 6, 4  # draws at first, and best genes that are kept of each kind of course
-DRAWN_SHARE = 0.3  # of later genes, which are drawn anew
-CHANGED_SHARE, CHANGE_STD = 0.35, 0.15  # of the genes, and of a change
-COLD_K = -1e3  # over the bound, counted for a course that has warmed nothing
+FIRST_DRAWS, KEPT_PER_KIND = 6, 4  # draws at first, and best courses of each kind whose genes are kept
+DRAWN_SHARE = 0.3  # of later proposals, which are drawn anew
+CHANGED_SHARE, CHANGE_STD = 0.35, 0.15  # share of genes that a change affects, and standard deviation of the change
+COLD_K = -1e3  # excess over the bound that counts for a course that has warmed nothing
 MISSING_PACKAGE = "optimiser 'cma' needs the package cma: pip install 'leactl[cma]'"
 
 
@@ -31,26 +31,28 @@ Proposals = Generator[Array, TriedGenes, None]
 
 
 def by_changes(count: int, random: np.random.Generator) -> Proposals:
-    """Propose `count` genes: draw some, then slightly change the nearest of each kind of course, or draw again."""
+    """Propose `count` genes: at first drawn genes, later also changed genes of the courses nearest to their bounds."""
     by_kind: dict[str, list[TriedGenes]] = {}
     attempts = 0
     while True:
         genes = random.random(count)
         if attempts >= FIRST_DRAWS and random.random() > DRAWN_SHARE:
-            kind = by_kind[str(random.choice(sorted(by_kind)))]
-            genes = _changed(kind[int(random.integers(len(kind)))].genes, random)
+            best_of_kind = by_kind[str(random.choice(sorted(by_kind)))]
+            genes = _changed(best_of_kind[int(random.integers(len(best_of_kind)))].genes, random)
         attempt = yield genes
         attempts += 1
-        nearest_first = sorted([*by_kind.get(attempt.kind, []), attempt], key=lambda past: -past.over_k)
+        nearest_first = sorted([*by_kind.get(attempt.kind, []), attempt], key=lambda tried: -tried.over_k)
         by_kind[attempt.kind] = nearest_first[:KEPT_PER_KIND]
 
 
 def _changed(genes: Array, random: np.random.Generator) -> Array:
+    """Return the genes with random changes of a share `CHANGED_SHARE` of them."""
     changes = CHANGE_STD * random.standard_normal(len(genes)) * (random.random(len(genes)) < CHANGED_SHARE)
-    return _inside(genes + changes)
+    return _clipped(genes + changes)
 
 
-def _inside(genes: Array) -> Array:
+def _clipped(genes: Array) -> Array:
+    """Return the genes limited to the range from 0 to just below 1."""
     return np.asarray(np.clip(genes, 0.0, np.nextafter(1.0, 0.0)), np.float64)
 
 
@@ -75,7 +77,7 @@ def by_cma(count: int, random: np.random.Generator) -> Proposals:
         while not strategy.stop():
             population, distances = strategy.ask(), []
             for genes in population:
-                attempt = yield _inside(np.asarray(genes))
+                attempt = yield _clipped(np.asarray(genes))
                 distances.append(-max(attempt.over_k, COLD_K))
             strategy.tell(population, distances)
 
