@@ -19,7 +19,7 @@ Listener = Callable[[bytearray, float], None]
 
 SYNC_ID = 0x080
 NMT_ID = 0x000
-LONGEST_BACKLOG_S = 0.01  # time after a deadline in which frames that had arrived by then are still dispatched
+LONGEST_BACKLOG_S = 0.01  # frames that had arrived by a deadline are dispatched for at most this time after it
 LONGEST_QUEUE_WAIT_S = 0.002  # about 15 frames at 1 Mbit/s; any cycle can spare it twice
 FD_NEEDS = (
     "a CAN-FD frame needs options: {fd: true} of the bus in the bench file, and on Linux: ip link set CHANNEL up type"
@@ -28,7 +28,7 @@ FD_NEEDS = (
 CHECK_BUS_HINT = "look at cable, termination and bit rate"
 # classes of an error frame (linux/can/error.h)
 BUS_OFF = 0x40
-HARMLESS_CLASSES = 0x102  # a lost arbitration, and a controller that has returned
+HARMLESS_CLASSES = 0x102  # a lost arbitration, and a controller that has returned to the bus
 
 
 class CanPort:
@@ -53,7 +53,7 @@ class CanPort:
         self.bus: can.BusABC | None = None
         self._listeners: dict[int, Listener] = {}
         self._fd_listeners: dict[int, Listener] = {}
-        self._sent: dict[int, can.Message] = {}
+        self._messages: dict[int, can.Message] = {}
         self._users = 0
         self.queue_full = Tally()  # frames that found the interface's queue full
         self.error_frames = Tally()
@@ -79,24 +79,24 @@ class CanPort:
         try:
             self.bus = self._connect()
         except (OSError, ValueError, ImportError, _can_error()) as error:
-            number = getattr(error, "errno", None)
-            if number == errno.EAFNOSUPPORT:
+            error_number = getattr(error, "errno", None)
+            if error_number == errno.EAFNOSUPPORT:
                 raise NoBus(f"bus '{self.name}': this machine has no SocketCAN; see: leactl doctor") from None
             absent = "there is no such CAN interface; see: leactl doctor"
-            raise DeviceError(f"bus '{self.name}': {absent if number == errno.ENODEV else error}") from None
+            raise DeviceError(f"bus '{self.name}': {absent if error_number == errno.ENODEV else error}") from None
 
     def close(self) -> None:
         """Disconnect when the last user has closed the port."""
         self._users = max(0, self._users - 1)
         if self._users == 0:
-            self._shut()
+            self._disconnect()
 
     def reopen(self) -> None:
         """Replace a connection that may be dead by a new one."""
-        self._shut()
+        self._disconnect()
         self._open_bus()
 
-    def _shut(self) -> None:
+    def _disconnect(self) -> None:
         bus, self.bus = self.bus, None
         if bus is not None:
             try:
@@ -112,7 +112,7 @@ class CanPort:
             self._listeners[identifier] = listener
 
     def listen_fd(self, identifier: int, listener: Listener | None) -> None:
-        """Route CAN-FD frames of this identifier, of 11 or 29 bits; None ends it."""
+        """Pass CAN-FD frames of this identifier, of 11 or 29 bits, to a listener; None removes it."""
         if listener is None:
             self._fd_listeners.pop(identifier, None)
         else:
@@ -128,11 +128,11 @@ class CanPort:
         bus = self.bus
         if bus is None:
             raise DeviceError(f"bus '{self.name}': not open")
-        message = self._sent.get(identifier)
-        # equal data reuse the message; changed data need a new one, because the bus may still hold the one before
+        message = self._messages.get(identifier)
+        # equal data reuse the message; changed data need a new message, because the bus may still hold the old one
         if message is None or message.data != data:
             message = self._message(arbitration_id=identifier, data=data, is_extended_id=False)
-            self._sent[identifier] = message
+            self._messages[identifier] = message
         try:
             bus.send(message)
         except (OSError, ValueError, _can_error()) as error:
@@ -168,20 +168,20 @@ class CanPort:
         DeviceError : the queue stays full, or sending failed for another reason.
         """
         self.queue_full.count += 1
-        until = self._now() + LONGEST_QUEUE_WAIT_S
-        while _is_full(error) and self.bus is not None and self._now() < until:
+        deadline = self._now() + LONGEST_QUEUE_WAIT_S
+        while _is_full(error) and self.bus is not None and self._now() < deadline:
             self.clock.sleep_until(self._now() + LONGEST_QUEUE_WAIT_S / 10)
             try:
                 self.bus.send(message)
-            except (OSError, ValueError, _can_error()) as again:
-                error = again
+            except (OSError, ValueError, _can_error()) as repeated_error:
+                error = repeated_error
             else:
                 return
-        needs = f"; {FD_NEEDS}" if message.is_fd and errno.EINVAL in _error_numbers(error) else ""
-        raise DeviceError(f"bus '{self.name}': cannot send 0x{message.arbitration_id:03X}: {error}{needs}") from None
+        hint = f"; {FD_NEEDS}" if message.is_fd and errno.EINVAL in _error_numbers(error) else ""
+        raise DeviceError(f"bus '{self.name}': cannot send 0x{message.arbitration_id:03X}: {error}{hint}") from None
 
     def notices(self) -> list[str]:
-        """One line for each notable event of the bus since the last call."""
+        """Return one line for each notable event of the bus since the last call."""
         lines = []
         if count := self.queue_full.take_note():
             lines.append(
@@ -194,12 +194,12 @@ class CanPort:
         return lines
 
     def why_silent(self) -> str:
-        """Possible reason why nobody answers, as the end of a sentence; empty if the bus has shown no error."""
+        """Return a possible reason why nobody answers, as the end of a sentence; empty if the bus showed no error."""
         count = self.error_frames.count
         return f"; the bus '{self.name}' has shown {count} error frames: {CHECK_BUS_HINT}" if count else ""
 
     def pump_until(self, came: Sequence[bool], deadline: float) -> bool:
-        """Dispatch frames until listeners have set all of `came`, or until the deadline; True if all are set.
+        """Dispatch frames until listeners have set all of `came`, or until the deadline; return whether all are set.
 
         Frames that arrived by the deadline are still dispatched, for at most 10 ms even on a babbling bus.
 
@@ -256,16 +256,17 @@ class CanPort:
 
 
 def _is_full(error: Exception) -> bool:
-    """Return whether an error says that the interface's queue was full."""
+    """Return whether an error means that the interface's queue was full."""
     return errno.ENOBUFS in _error_numbers(error)
 
 
 def _error_numbers(error: Exception) -> tuple[int | None, int | None]:
-    """Error numbers of a failure: that of python-can, and that of the system."""
+    """Return the error numbers of a failure: that of python-can, and that of the system."""
     return getattr(error, "error_code", None), getattr(error, "errno", None)
 
 
 def _can_error() -> type[Exception]:
+    """Return the base class of python-can's errors, imported when it is needed."""
     from can import CanError
 
     return CanError

@@ -8,7 +8,7 @@ class Clock(Protocol):
     """A monotonic clock in seconds."""
 
     def now(self) -> float:
-        """Seconds since an arbitrary moment; never decreases."""
+        """Return the time since an arbitrary moment [s], which never decreases."""
 
     def sleep_until(self, moment: float) -> None:
         """Return at a moment [s on this clock], or at once if it has passed."""

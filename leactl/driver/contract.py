@@ -27,7 +27,7 @@ class DriverSettings(yamlblock.Block):
     """Settings of one device in the bench file; every field's name carries its unit."""
 
     def shown(self) -> "list[MeasurableRange]":
-        """Measurable range of each quantity, from the settings; a limit outside it could never trip."""
+        """Return the measurable range of each quantity by the settings; a limit outside of it could never trip."""
         return []
 
     @property
@@ -47,7 +47,7 @@ class DriverSettings(yamlblock.Block):
 
     @property
     def host_silence_s(self) -> float | None:
-        """Time for which the device runs on without the host's heartbeat; None if it monitors none."""
+        """Time for which the device runs on without the host's heartbeat [s]; None if it monitors none."""
         return None
 
 
@@ -81,7 +81,7 @@ class StreamSpec(NamedTuple):
     name: str
     channels: tuple[ChannelSpec, ...]
     rate_Hz: float = 0.0  # noqa: N815 (a unit keeps its letter)  given if it is faster than the loop
-    ends: bool = False  # whether it ends by itself before the run; its driver raises if it ends too soon
+    ends: bool = False  # whether the stream ends by itself before the run; its driver raises if it ends too soon
 
 
 class Row(NamedTuple):
@@ -96,7 +96,7 @@ class Row(NamedTuple):
 class SampleBlock(NamedTuple):
     """Many samples of a device's own stream at once; single rows of a fast converter would take too much of a cycle.
 
-    A value is NaN if a channel has none at its time; the driver explains it in a notice.
+    A value is NaN if a channel has no value at its time; the driver explains this in a notice.
     """
 
     stream: str
@@ -109,7 +109,7 @@ class SampleBlock(NamedTuple):
         return Row(self.stream, float(self.times[-1]), self.values[-1].tolist())
 
     def rows(self) -> Iterator[Row]:
-        """The samples one by one."""
+        """Yield the samples one by one."""
         for time, values in zip(self.times.tolist(), self.values.tolist(), strict=True):
             yield Row(self.stream, time, values)
 
@@ -118,10 +118,10 @@ class TripAccuracy(NamedTuple):
     """Tolerance of the level at which an instrument's protection trips: a share of the level plus a constant."""
 
     share: float
-    beside: float
+    beside: float  # constant, in the unit of the level
 
     def level_below(self, highest: float) -> float:
-        """The level to set so that the protection has tripped at `highest` at the latest."""
+        """Return the level to set so that the protection has tripped at `highest` at the latest."""
         return (highest - self.beside) / (1.0 + self.share)
 
 
@@ -156,7 +156,7 @@ class Driver(ABC):
 
     @abstractmethod
     def safe_state(self, deadline_s: float) -> Confirmation:
-        """Bring the device to its safe state, from any state, within the deadline [s]; never raises."""
+        """Bring the device to its safe state, from any state, within the deadline [s]; never raise."""
 
     def stop_now(self) -> None:  # noqa: B027 (optional: a device that only measures has nothing to send)
         """Send the command that removes power, without waiting for an answer; called before any `safe_state`."""
@@ -176,7 +176,7 @@ class Driver(ABC):
 
     @classmethod
     def far_end(cls, settings: Any, role: str, physics: Physics) -> FarEnd:
-        """The device's emulator for an emulated bench; for I2C a tuple of its address and the emulator.
+        """Return the device's emulator for an emulated bench; for I2C a tuple of its address and the emulator.
 
         Without a bus, the driver's `port` is this emulator, in place of the maker's library; on a real bench it is
         None.
@@ -188,7 +188,7 @@ class Driver(ABC):
         raise InputError(f"{cls.__name__} has no emulator; it cannot stand on an emulated bench")
 
     def identity(self) -> Identity:
-        """Identity that the device reported when it was opened; empty before.
+        """Return the identity that the device reported when it was opened; empty before.
 
         This method sends nothing to the device. A device that reports no identity must not be refused in `open`.
         """
@@ -196,15 +196,15 @@ class Driver(ABC):
 
     @property
     def streams(self) -> tuple[StreamSpec, ...]:
-        """Streams that the device samples by its own clocks."""
+        """Streams that the device samples by its own clock."""
         return ()
 
     def take(self) -> Sequence[Row | SampleBlock]:
-        """Rows of `streams` since the last call, or blocks of many rows; never waits."""
+        """Return the rows of `streams` since the last call, or blocks of many rows; never wait."""
         return ()
 
     def notices(self) -> Sequence[str]:
-        """One line for each notable thing that the device did by itself since the last call."""
+        """Return one line for each notable thing that the device did by itself since the last call."""
         return ()
 
 
@@ -230,14 +230,14 @@ class MotionDevice(CyclicDevice, Protocol):
     """A drive. Only the supervisor calls `command`, `engage` and `release`."""
 
     def engage(self, mode: Mode) -> None:
-        """Begin to enter operation in this mode with zero setpoint; completes over the next cycles."""
+        """Begin to enter operation in this mode with zero setpoint; the next cycles complete it."""
 
     def release(self) -> None:
-        """Begin to leave operation; completes over the next cycles."""
+        """Begin to leave operation; the next cycles complete it."""
 
     @property
     def engaged(self) -> bool:
-        """True once the device itself reports that it follows its setpoint."""
+        """Whether the device itself reports that it follows its setpoint."""
 
     def command(self, value: float) -> None:
         """Set the setpoint of the engaged mode in its SI unit, for the next cycle.
@@ -269,7 +269,7 @@ class AnalogInput(Protocol):
     """A device that measures voltages and can set their zero."""
 
     def tare(self, means: Mapping[str, float]) -> dict[str, float]:
-        """Subtract these mean readings (by stream) from now on; returns the new offsets by channel name.
+        """Subtract these mean readings (by stream) from now on; return the new offsets by channel name.
 
         The control loop averages the readings itself, because a drive that gets no setpoints meanwhile would stop.
         """
@@ -287,7 +287,7 @@ class PowerSupply(Protocol):
         """Highest voltage [V] and current [A] that `supply` accepts."""
 
     def supply(self, voltage: float, current: float) -> None:
-        """Set the limits of voltage [V] and current [A] for the output while it is on; switches nothing.
+        """Set the limits of voltage [V] and current [A] for the output while it is on; switch nothing.
 
         Raises
         ------
@@ -344,7 +344,7 @@ class RecordingDevice(Protocol):
 
 
 def drive_channels(role: str, device: str) -> tuple[ChannelSpec, ...]:
-    """The first channels of a drive's `values`: three references, three readings, and whether it is engaged."""
+    """Return the first channels of a drive's `values`: three references, three readings, and whether it is engaged."""
 
     def channel(name: str, quantity: str, words: str, dtype: str = "f4") -> ChannelSpec:
         return ChannelSpec(name, quantity, role, device, f"{role} {words}", dtype=dtype)

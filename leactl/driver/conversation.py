@@ -22,9 +22,10 @@ class Unreadable(DeviceError):
 class Query(NamedTuple):
     """A query and the parser of its reply; with `patient`, unreadable replies are skipped until a readable one comes.
 
-    A text is sent with the port's line end, bytes as they are. A reply is one line, or all lines up to and including
-    `last`; `means` parses them, joined by line feeds. With a `framing` the reply is a frame; with `silence_s` it is all
-    that arrives until nothing has come for so long. What arrived before either of these was sent is dropped.
+    A text is sent with the port's line end, bytes are sent as they are. A reply is one line, or all lines up to and
+    including `last`; `means` parses them, joined by line feeds. With a `framing` the reply is a frame; with `silence_s`
+    it is all that arrives until nothing has come for that time. Bytes that arrived before a query with a `framing` or
+    `silence_s` was sent are dropped.
     """
 
     text: str | bytes
@@ -55,7 +56,7 @@ Script = Generator[Yielded, Reply | None, Result]
 
 
 def ask(query: Query) -> Script[Any]:
-    """Script that sends a query and returns the parsed value of its reply."""
+    """Return a script that sends a query and returns the parsed value of its reply."""
     reply = yield query
     assert reply is not None
     return reply.value
@@ -67,7 +68,7 @@ class Talk(Generic[Result]):
     def __init__(self, port: SerialPort, script: Script[Result], answer_s: float) -> None:
         self._port, self._script, self._answer_s = port, script, answer_s
         self._unsent: Query | str | bytes | None = None  # to be sent once the device has rested
-        self._question: Query | None = None
+        self._pending_query: Query | None = None
         self._asked = 0.0
         self._lines: list[bytes] = []  # lines of an answer that is not complete yet
         self.ended = False
@@ -86,20 +87,24 @@ class Talk(Generic[Result]):
                     return
                 self._send(self._unsent)
                 continue
-            if self._question is None:
-                if isinstance(self._say(self._script.send, None), Pause):
+            if self._pending_query is None:
+                if isinstance(self._resume(self._script.send, None), Pause):
                     return
                 continue
             now = self._port.clock.now()
-            line = self._take(self._question)
+            line = self._take(self._pending_query)
             if line is not None:
                 self._lines.append(line)
-                if self._question.last in (None, line):
-                    whole, self._lines = b"\n".join(self._lines), []
-                    self._hear(self._question, whole, now if self._question.silence_s is None else self._port.heard_at)
+                if self._pending_query.last in (None, line):
+                    reply, self._lines = b"\n".join(self._lines), []
+                    self._parse_reply(
+                        self._pending_query,
+                        reply,
+                        now if self._pending_query.silence_s is None else self._port.heard_at,
+                    )
             elif now >= self._asked + self._answer_s:  # as `finish` waits, to the last bit
-                missed, self._question = self._question, None
-                self._say(self._script.throw, NoAnswer(f"no answer to {missed} within {self._answer_s:g} s"))
+                unanswered, self._pending_query = self._pending_query, None
+                self._resume(self._script.throw, NoAnswer(f"no answer to {unanswered} within {self._answer_s:g} s"))
             else:
                 return
 
@@ -118,47 +123,49 @@ class Talk(Generic[Result]):
                 return self.result
             now = clock.now()
             if now >= deadline:
-                asked = self._question or "the last command"
-                raise NoAnswer(f"no answer to {asked} in time")
+                awaited = self._pending_query or "the last command"
+                raise NoAnswer(f"no answer to {awaited} in time")
             if self._unsent is not None:
                 clock.sleep_until(min(deadline, self._port.rested_at))
-            elif self._question is not None and self._question.silence_s is None:
-                self._port.wait(min(deadline, self._asked + self._answer_s), self._question.framing)
+            elif self._pending_query is not None and self._pending_query.silence_s is None:
+                self._port.wait(min(deadline, self._asked + self._answer_s), self._pending_query.framing)
             else:
                 clock.sleep_until(min(deadline, now + POLL_S))
 
-    def _take(self, question: Query) -> bytes | None:
-        if question.silence_s is not None:
-            return self._port.take_until_silent(question.silence_s)
-        return self._port.take_line() if question.framing is None else self._port.take_frame(question.framing)
+    def _take(self, query: Query) -> bytes | None:
+        """Return the next line, frame or silence-ended bytes of a reply; None if it has not arrived yet."""
+        if query.silence_s is not None:
+            return self._port.take_until_silent(query.silence_s)
+        return self._port.take_line() if query.framing is None else self._port.take_frame(query.framing)
 
-    def _hear(self, question: Query, answer: bytes, now: float) -> None:
+    def _parse_reply(self, query: Query, reply: bytes, now: float) -> None:
+        """Pass the parsed reply, or the error that it cannot be read, to the script; a patient query waits on."""
         try:
-            value = question.means(answer)
+            value = query.means(reply)
         except Unreadable as error:
-            if not question.patient:
-                self._question = None
-                self._say(self._script.throw, Unreadable(f"{question} was answered by {error}"))
+            if not query.patient:
+                self._pending_query = None
+                self._resume(self._script.throw, Unreadable(f"{query} was answered by {error}"))
             return
-        self._question = None
-        self._say(self._script.send, Reply(value, self._asked, now))
+        self._pending_query = None
+        self._resume(self._script.send, Reply(value, self._asked, now))
 
-    def _say(self, proceed: Callable[[Any], Yielded], argument: Reply | DeviceError | None) -> Yielded | None:
-        """Resume the script, which says what to send next; returns that, or None at the end of the script."""
+    def _resume(self, proceed: Callable[[Any], Yielded], argument: Reply | DeviceError | None) -> Yielded | None:
+        """Resume the script by its method `proceed`; return what it yields to send next, or None at its end."""
         try:
-            said = proceed(argument)
+            yielded = proceed(argument)
         except StopIteration as end:
             self.ended, self.result = True, end.value
             return None
-        if not isinstance(said, Pause):
-            self._unsent = said
-        return said
+        if not isinstance(yielded, Pause):
+            self._unsent = yielded
+        return yielded
 
-    def _send(self, said: Query | str | bytes) -> None:
+    def _send(self, to_send: Query | str | bytes) -> None:
         self._unsent = None
-        text = said.text if isinstance(said, Query) else said
-        if isinstance(said, Query) and (said.framing is not None or said.silence_s is not None):
+        content = to_send.text if isinstance(to_send, Query) else to_send
+        if isinstance(to_send, Query) and (to_send.framing is not None or to_send.silence_s is not None):
             self._port.discard()
-        self._port.write(text if isinstance(text, bytes) else text.encode("ascii") + self._port.line_end)
-        if isinstance(said, Query):
-            self._question, self._asked, self._lines = said, self._port.clock.now(), []
+        self._port.write(content if isinstance(content, bytes) else content.encode("ascii") + self._port.line_end)
+        if isinstance(to_send, Query):
+            self._pending_query, self._asked, self._lines = to_send, self._port.clock.now(), []

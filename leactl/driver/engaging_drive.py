@@ -13,14 +13,14 @@ from leactl.errors import InputError
 class EngagingDrive(Driver):
     """A drive whose driver changes its mode by the method `_follow`."""
 
-    modes: ClassVar[Container[Mode]]  # modes that it can follow
-    connection: ClassVar[str] = ""  # added to a refusal of a mode, such as "over this line"
+    modes: ClassVar[Container[Mode]]  # that the drive can follow
+    connection: ClassVar[str] = ""  # added to the message on an unknown mode, such as "over this line"
     enable_time_s: ClassVar[float]  # time for the drive to enter operation
 
     name: str
     _clock: Clock
-    _safe: bool  # whether it has confirmed its safe state, and has got no demand since
-    _enable_by: float = math.inf  # time on the clock [s] by which it has to be in operation
+    _safe: bool  # whether the drive has confirmed its safe state, and has received no demand since
+    _enable_by: float = math.inf  # time on the clock [s] by which the drive has to be in operation
 
     @abstractmethod
     def _follow(self, mode: Mode) -> None:
@@ -34,12 +34,12 @@ class EngagingDrive(Driver):
         InputError : the drive has no such mode.
         """
         if mode not in self.modes:
-            words = f"mode '{mode}' is not one a drive can follow"
-            raise InputError(f"{self.name}: {words}{f' {self.connection}' if self.connection else ''}")
+            reason = f"mode '{mode}' is not one a drive can follow"
+            raise InputError(f"{self.name}: {reason}{f' {self.connection}' if self.connection else ''}")
         self._follow(mode)
         self._safe = False
         self._enable_by = self._clock.now() + self.enable_time_s
 
     def release(self) -> None:
-        """Begin to leave operation; no current flows once the drive has left it."""
+        """Begin to leave operation; no current flows once the drive has left operation."""
         self._follow(Mode.OFF)

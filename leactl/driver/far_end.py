@@ -19,7 +19,7 @@ LAST_OF_11_BITS = 0x7FF
 
 
 class Frame(NamedTuple):
-    """A CAN frame; a classic one with an 11-bit identifier where its class says nothing else."""
+    """A CAN frame: a classic frame with an 11-bit identifier, unless it is of a derived class."""
 
     identifier: int
     data: bytes
@@ -38,7 +38,7 @@ class Machine(Protocol):
         """Follow a setpoint in a mode ("current", "velocity", "angle"); in mode "off" no current flows."""
 
     def read(self) -> tuple[float, float, float]:
-        """Present current [A], velocity [rad/s] and angle [rad] as the drive's sensors measure them."""
+        """Return current [A], velocity [rad/s] and angle [rad] as the drive's sensors measure them now."""
 
     @property
     def voltage(self) -> float:
@@ -53,10 +53,10 @@ class CanEmulator(Protocol):
     """A device on an emulated CAN bus."""
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Receive one frame from the bus; returns the answers."""
+        """Receive one frame from the bus; return the answers."""
 
     def tick(self, now: float) -> list[Frame]:
-        """Frames that the device sends by itself until `now` [s]."""
+        """Return the frames that the device sends by itself until `now` [s]."""
 
     @property
     def due(self) -> float:
@@ -96,7 +96,7 @@ class SerialEmulator(Protocol):
         """Receive bytes in the order of arrival, one or more per call."""
 
     def tick(self, now: float) -> bytes:
-        """Bytes that the device begins to send at `now` [s]."""
+        """Return the bytes that the device begins to send at `now` [s]."""
 
     @property
     def due(self) -> float:
@@ -107,7 +107,7 @@ class SupplyLoad(Protocol):
     """The load at the terminals of an emulated power supply."""
 
     def feed(self, voltage: float, current: float) -> tuple[float, float]:
-        """Apply limits of voltage [V] and current [A]; returns the resulting voltage and current."""
+        """Apply limits of voltage [V] and current [A]; return the resulting voltage and current."""
 
 
 @runtime_checkable
@@ -115,7 +115,7 @@ class FailingSupply(Protocol):
     """Optional capability of the emulator of a power supply, needed to rehearse its faults."""
 
     def stuck_on(self, admits: bool = True) -> None:
-        """Make the output stay on; `admits` says whether the supply reports it as on."""
+        """Make the output stay on; `admits` tells whether the supply reports it as on."""
 
     def lose_regulation(self, share: float) -> None:
         """Put out this share of the set voltage and current, and report that it does not regulate.
@@ -163,7 +163,7 @@ class Terminals(Protocol):
         """Random generator of the bench, for errors that the device adds."""
 
     def voltages(self, times: "NDArray[np.float64]", pair: int) -> "NDArray[np.float64]":
-        """Voltages [V] of the pair with index `pair` in `PAIRS`, at times [s] within the last milliseconds."""
+        """Return the voltages [V] of the pair of index `pair` in `PAIRS`, at times [s] within the last milliseconds."""
 
 
 class RegisterStore(Protocol):
@@ -188,13 +188,13 @@ class Physics(Protocol):
     """The physics of an emulated bench, as a device's emulator sees it."""
 
     def machine(self, role: str) -> Machine:
-        """The motor of this role."""
+        """Return the motor of this role."""
 
     def reading(self, quantity: str, role: str, location: str = "") -> Callable[[], float]:
-        """A function that returns the present value of a quantity, sensor noise included.
+        """Return a function that returns the present value of a quantity, sensor noise included.
 
-        `location` distinguishes windings: `active_...` ones carry a direct current through two leads, `inactive_...`
-        ones do not.
+        `location` distinguishes windings: a winding `active_...` carries a direct current through two leads, a winding
+        `inactive_...` does not.
 
         Raises
         ------
@@ -202,7 +202,7 @@ class Physics(Protocol):
         """
 
     def terminals(self, role: str) -> Terminals:
-        """The three leads of this role's motor.
+        """Return the three leads of this role's motor.
 
         Raises
         ------
@@ -210,7 +210,7 @@ class Physics(Protocol):
         """
 
     def at_supply(self, feeds: str, role: str) -> SupplyLoad:
-        """The load of a power supply; `feeds` is "leads" (two leads of the role's motor) or "bus" (the DC link).
+        """Return the load of a power supply; `feeds` is "leads" (two leads of the role's motor) or "bus" (the DC link).
 
         Raises
         ------

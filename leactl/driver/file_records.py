@@ -77,10 +77,10 @@ class RecordClock(Block):
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
-        ways = ("wall_within_s", "offset_s", "estimate", "onset")
-        given = [name for name in ways if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise ValueError(f"give one of {', '.join(ways)}; {' and '.join(given) or 'none'} is given")
+        methods = ("wall_within_s", "offset_s", "estimate", "onset")
+        stated = [name for name in methods if getattr(self, name) is not None]
+        if len(stated) != 1:
+            raise ValueError(f"give one of {', '.join(methods)}; {' and '.join(stated) or 'none'} is given")
         if (self.offset_s is None) != (self.offset_within_s is None):
             raise ValueError("offset_s and offset_within_s go together: an offset without its error is a guess")
         return self
@@ -100,7 +100,7 @@ class ExportFolder:
 
     def __init__(self, folder: str | None) -> None:
         self.folder = Path(folder) if folder else None
-        self._before: dict[Path, int] = {}
+        self._remembered_ns: dict[Path, int] = {}
 
     @property
     def absent(self) -> bool:
@@ -109,15 +109,17 @@ class ExportFolder:
 
     def look(self) -> None:
         """Remember the present files."""
-        self._before = self._files()
+        self._remembered_ns = self._files()
 
     def fresh(self) -> list[Path]:
-        """Files that are new or changed since the last `look`, sorted by name with numbers by value."""
+        """Return the files that are new or changed since the last `look`, sorted by name with numbers by value."""
         return sorted(
-            (path for path, mtime_ns in self._files().items() if self._before.get(path) != mtime_ns), key=number_order
+            (path for path, mtime_ns in self._files().items() if self._remembered_ns.get(path) != mtime_ns),
+            key=number_order,
         )
 
     def _files(self) -> dict[Path, int]:
+        """Return the time of modification [ns] of each file in the folder."""
         modified_ns: dict[Path, int] = {}
         with suppress(OSError):  # a folder that is absent or cannot be read has no files
             for path in self.folder.iterdir() if self.folder else ():
@@ -128,13 +130,15 @@ class ExportFolder:
 
 
 def number_order(path: Path) -> list[tuple[int, str]]:
-    """Sort key of file names that orders numbers by value: frame2 before frame10."""
+    """Return a sort key of file names that orders numbers by value: frame2 before frame10."""
     parts = re.split(r"([0-9]+)", str(path))  # text, number, text, ...
-    return [(int(part), part) if odd else (0, part) for part, odd in zip(parts, itertools.cycle((False, True)))]
+    return [
+        (int(part), part) if is_number else (0, part) for part, is_number in zip(parts, itertools.cycle((False, True)))
+    ]
 
 
 def refuse_text_order(paths: Sequence[Path]) -> None:
-    """Raise if frame files are sorted as text (frame10 before frame2); their order is the only time information.
+    """Raise InputError if files of frames are sorted as text (frame10 before frame2): their order is their only time.
 
     Raises
     ------
@@ -142,7 +146,11 @@ def refuse_text_order(paths: Sequence[Path]) -> None:
     """
     expected = sorted(paths, key=number_order)
     if list(paths) == sorted(paths) != expected:
-        index = next(k for k, (given, meant) in enumerate(zip(paths, expected, strict=True)) if given != meant)
+        index = next(
+            number
+            for number, (path, sorted_path) in enumerate(zip(paths, expected, strict=True))
+            if path != sorted_path
+        )
         message = f"comes where {expected[index].name} was expected; give the files in the order of their numbers"
         raise InputError(f"{paths[index]}: {message}")
 
@@ -153,7 +161,7 @@ class BatchSource(Protocol):
 
     @property
     def clock(self) -> RecordClock | None:
-        """How its records are aligned with a run; None if the settings do not say."""
+        """How its records are aligned with a run; None if the settings do not state it."""
 
     @property
     def channels(self) -> tuple[ChannelSpec, ...]:

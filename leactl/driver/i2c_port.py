@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from leactl.driver.tally import Tally
 from leactl.errors import DeviceError, NoAnswer
 
-MOST_ATTEMPTS = 3  # of a transfer, which takes half a millisecond (three bytes and an address at 100 kHz)
+MOST_ATTEMPTS = 3  # of a transfer, each of half a millisecond (three bytes and an address at 100 kHz)
 _NOT_ACKNOWLEDGED = {errno.EREMOTEIO, errno.ENXIO, errno.ENODEV}
 _MEANINGS = {
     errno.EBUSY: "a kernel driver holds this address; unbind it",
@@ -30,7 +30,7 @@ class SmBus(Protocol):
 
 
 def swap_bytes(word: int) -> int:
-    """Swap the bytes of a word: SMBus sends the low byte first, these devices the high byte."""
+    """Return a word with its bytes swapped: SMBus sends the low byte first, these devices the high byte."""
     return (word & 0xFF) << 8 | word >> 8
 
 
@@ -99,7 +99,7 @@ class I2cPort:
         self._transfer(address, lambda: bus.write_word_data(address, register, swap_bytes(value)))
 
     def notices(self) -> list[str]:
-        """One line for each notable event of the bus since the last call."""
+        """Return one line for each notable event of the bus since the last call."""
         count = self.repeated.take_note()
         return [f"bus '{self.name}': a transfer went through only when it was repeated, {count}"] if count else []
 
@@ -115,9 +115,10 @@ class I2cPort:
         raise AssertionError("the last attempt returns or raises")
 
     def _explain(self, error: OSError, address: int) -> DeviceError:
-        device = f"bus '{self.name}', address 0x{address:02X}"
+        """Return the named error for a transfer that failed."""
+        place = f"bus '{self.name}', address 0x{address:02X}"
         if error.errno in _NOT_ACKNOWLEDGED:
-            return NoAnswer(f"{device}: not acknowledged (errno {error.errno}); check wiring, power, address")
+            return NoAnswer(f"{place}: not acknowledged (errno {error.errno}); check wiring, power, address")
         if error.errno == errno.ETIMEDOUT:
-            return NoAnswer(f"{device}: the transfer timed out (errno {error.errno})")
-        return DeviceError(f"{device}: {_MEANINGS.get(error.errno or 0, error)}")
+            return NoAnswer(f"{place}: the transfer timed out (errno {error.errno})")
+        return DeviceError(f"{place}: {_MEANINGS.get(error.errno or 0, error)}")

@@ -45,16 +45,16 @@ class CanProbe(ABC):
     searches: ClassVar[bool] = True  # asks addresses from which nothing was heard; such probes come first
 
     def heard(self, frames: Sequence[Frame]) -> Collection[int]:
-        """Addresses of the devices that sent one of these frames by themselves."""
+        """Return the addresses of the devices that sent one of these frames by themselves."""
         return ()
 
     def host(self, frames: Sequence[Frame]) -> str:
-        """What another host has sent among these frames, in words; empty if nothing."""
+        """Return as text what another host has sent among these frames; empty if it has sent nothing."""
         return ""
 
     @abstractmethod
     def identifiers(self, address: int) -> Collection[int]:
-        """Identifiers of 11 bits that the device of this address sends or acts on."""
+        """Return the identifiers of 11 bits that the device of this address sends or acts on."""
 
     @abstractmethod
     def ask(self, port: "CanPort", addresses: Collection[int], taken: Collection[int]) -> Seen:
@@ -98,9 +98,10 @@ class LineProbe(ABC):
 
     @staticmethod
     def answer(port: SerialPort, question: Query) -> Any:
-        """The value of the answer to a question that is never answered by None; None if nothing readable came.
+        """Return the value of the answer to a question, which may not be None itself; None if nothing readable came.
 
-        It is sent twice at the most: the first time it ends what another program has half sent, and makes it invalid.
+        The question is sent twice at the most: the first time it may end a command that another program has half sent,
+        and the instrument then reads neither.
 
         Raises
         ------
@@ -115,6 +116,7 @@ class LineProbe(ABC):
 
 
 def _script(question: Query) -> Script[Any]:
+    """Return a script that asks a question until its reply is readable, and returns the value of the reply."""
     reply = yield question._replace(patient=True)
     assert reply is not None
     return reply.value

@@ -25,17 +25,17 @@ class RegisteredDriver:
 
 @cache
 def driver_entry_points() -> tuple[EntryPoint, ...]:
-    """Entry points of all drivers, cached: a search takes 3 ms, and a run loads the driver of every device."""
+    """Return the entry points of all drivers, cached: a search takes 3 ms, and a run loads every device's driver."""
     return tuple(entry_points(group=GROUP))
 
 
 def names() -> list[str]:
-    """Names of all registered drivers, without importing any."""
+    """Return the names of all registered drivers, without importing any."""
     return sorted({point.name for point in driver_entry_points()})
 
 
 def find(name: str) -> RegisteredDriver:
-    """Load one driver.
+    """Return a registered name with its driver, or with the reason why it could not be loaded.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def find(name: str) -> RegisteredDriver:
 
 
 def load(name: str) -> "type[Driver]":
-    """Load a driver.
+    """Return the class of a driver.
 
     Raises
     ------
@@ -61,11 +61,12 @@ def load(name: str) -> "type[Driver]":
 
 
 def survey() -> list[RegisteredDriver]:
-    """Load every registered driver and report each."""
+    """Return every registered name with its driver, or with the reason why it could not be loaded."""
     return [find(name) for name in names()]
 
 
 def _load(point: EntryPoint) -> RegisteredDriver:
+    """Load the driver of an entry point, and return it or the reason why it could not be loaded."""
     from leactl.driver.contract import Driver
 
     source = f"{point.dist.name} {point.dist.version}" if point.dist else "unknown distribution"

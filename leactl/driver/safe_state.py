@@ -24,10 +24,12 @@ class Port(Protocol):
 
 
 def send_at_once(send: Callable[[], object], port: Port, is_open: Callable[[], bool]) -> None:
-    """Send a command that removes power, without waiting for its answer; once more over a new connection if that fails.
+    """Send a command that removes power, without waiting for its answer; if that fails, again over a new connection.
 
-    send : sends, and connects before if there is no connection.
-    is_open : whether a connection had been made; without one there is no second try. `safe_state` reports the failure.
+    A failure is not raised, because `safe_state` reports it.
+
+    send : sends the command, and connects before if there is no connection.
+    is_open : returns whether a connection had been made; without one there is no second attempt.
     """
     try:
         send()
@@ -39,9 +41,12 @@ def send_at_once(send: Callable[[], object], port: Port, is_open: Callable[[], b
 
 
 def make_safe(devices: Iterable[Driver]) -> dict[str, Confirmation]:
-    """Bring these devices to their safe state in this order, power supplies last; never raises."""
-    ordered = sorted(devices, key=_supplies)
-    outcome: dict[str, Confirmation] = {}
+    """Bring these devices to their safe state in this order, power supplies last; never raise.
+
+    Return the confirmation of each device by its name.
+    """
+    ordered = sorted(devices, key=_is_supply)
+    confirmations: dict[str, Confirmation] = {}
     for device in ordered:
         try:
             device.stop_now()
@@ -50,25 +55,29 @@ def make_safe(devices: Iterable[Driver]) -> dict[str, Confirmation]:
     for device in ordered:
         name = getattr(device, "name", type(device).__name__)
         try:
-            outcome[name] = device.safe_state(SAFE_STATE_S)
+            confirmations[name] = device.safe_state(SAFE_STATE_S)
         except Exception as error:  # noqa: BLE001 (a broken driver must not keep the others from being made safe)
-            outcome[name] = Confirmation(False, f"{type(error).__name__}: {error}")
-    return outcome
+            confirmations[name] = Confirmation(False, f"{type(error).__name__}: {error}")
+    return confirmations
 
 
-def _supplies(device: Driver) -> bool:
+def _is_supply(device: Driver) -> bool:
+    """Return whether a device is a power supply; a broken driver counts as none."""
     try:
         return isinstance(device, PowerSupply)  # reads the properties of the driver
     except Exception:  # noqa: BLE001 (a broken driver must not keep any device from being made safe)
         return False
 
 
-def unconfirmed_devices(outcome: Mapping[str, Confirmation], cause: str = "") -> str:
-    """One line that names the devices without a confirmed safe state; empty if all confirmed.
+def unconfirmed_devices(confirmations: Mapping[str, Confirmation], cause: str = "") -> str:
+    """Return a line that names the devices without a confirmed safe state; it is empty if all are confirmed.
 
     The reason of a device is left out if it equals `cause`, which the caller's message already contains.
     """
-    unsafe = {name: confirmation.detail for name, confirmation in outcome.items() if not confirmation.safe}
-    known = [name for name, detail in unsafe.items() if cause and detail.endswith(cause)]
-    doubtful = [*([", ".join(known)] if known else []), *(f"{n}: {unsafe[n]}" for n in unsafe if n not in known)]
+    details = {name: confirmation.detail for name, confirmation in confirmations.items() if not confirmation.safe}
+    failed_for_cause = [name for name, detail in details.items() if cause and detail.endswith(cause)]
+    doubtful = [
+        *([", ".join(failed_for_cause)] if failed_for_cause else []),
+        *(f"{name}: {details[name]}" for name in details if name not in failed_for_cause),
+    ]
     return "NOT CONFIRMED SAFE, switch off the supply: " + "; ".join(doubtful) if doubtful else ""

@@ -18,7 +18,7 @@ NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 
 def write_package(name: str, bus: str, quantity: str, into: Path) -> Path:
-    """Write a package for a driver, whole or not at all; returns its folder.
+    """Write a package for a driver, whole or not at all; return its folder.
 
     Parameters
     ----------
@@ -42,8 +42,8 @@ def write_package(name: str, bus: str, quantity: str, into: Path) -> Path:
         raise InputError(f"quantity '{quantity}' is not known; known: {', '.join(UNITS)}")
     words = name.split("_")
     dashed, class_name = "-".join(words), "".join(word.capitalize() for word in words)
-    texts = resources.files("leactl.driver.templates") / bus
-    if keyword.iskeyword(class_name) or class_name in _imported_names(texts):
+    templates = resources.files("leactl.driver.templates") / bus
+    if keyword.iskeyword(class_name) or class_name in _imported_names(templates):
         raise InputError(f"'{name}': its class would be {class_name}, which means something else there already")
     folder = into / f"leactl-{dashed}"
     if folder.exists():
@@ -61,19 +61,19 @@ def write_package(name: str, bus: str, quantity: str, into: Path) -> Path:
     try:
         with tempfile.TemporaryDirectory(prefix=".leactl-", dir=into) as temporary:
             package = Path(temporary) / folder.name
-            for text in texts.iterdir():
-                file = text.name.removesuffix(".txt")
-                target = package / file_names.get(file, f"leactl_{name}/{file}")
+            for template in templates.iterdir():
+                file_name = template.name.removesuffix(".txt")
+                target = package / file_names.get(file_name, f"leactl_{name}/{file_name}")
                 target.parent.mkdir(parents=True, exist_ok=True)
-                target.write_text(Template(text.read_text("utf-8")).substitute(substitutions), encoding="utf-8")
+                target.write_text(Template(template.read_text("utf-8")).substitute(substitutions), encoding="utf-8")
             package.rename(folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
     return folder
 
 
-def _imported_names(texts: Traversable) -> set[str]:
-    """Names that the driver's template imports; a class of such a name would replace the imported one."""
-    text = (texts / "driver.py.txt").read_text("utf-8")
+def _imported_names(templates: Traversable) -> set[str]:
+    """Return the names that the driver's template imports; a class of such a name would replace the imported one."""
+    text = (templates / "driver.py.txt").read_text("utf-8")
     lines = re.findall(r"^from \S+ import (.+)$", text, re.MULTILINE)
     return {name for line in lines for name in line.split(", ")}

@@ -35,7 +35,7 @@ class SerialLine(Protocol):
     """A connection: a serial device of this machine, or the near end of an emulated line."""
 
     def read(self, timeout: float) -> bytes:
-        """Bytes that have arrived; waits at most `timeout` seconds for the first.
+        """Return bytes that have arrived; wait at most `timeout` seconds for the first byte.
 
         Raises
         ------
@@ -43,7 +43,7 @@ class SerialLine(Protocol):
         """
 
     def write(self, data: bytes) -> int:
-        """Write as many bytes as are accepted at once; returns their number.
+        """Write as many bytes as are accepted at once; return their number.
 
         Raises
         ------
@@ -63,22 +63,22 @@ class SerialPort:
         self.name = name
         self.line_end = b"\n"  # of both directions; the driver of a device with another one sets it
         self.longest_line = LONGEST_LINE  # bytes kept of a line, and of a frame whose length is not known yet
-        self.rest_s = 0.0  # time between two writes, or the device loses the second; `write` does not wait for it
+        self.rest_s = 0.0  # a device loses a write that follows the last one sooner; `write` itself does not wait
         self._line: SerialLine | None = None
         self._users = 0
         self._received = b""
-        self._heard = -math.inf  # time [s] at which bytes came last, or the line was opened
-        self._wrote = -math.inf
+        self._last_received = -math.inf  # time [s] at which bytes came last, or the line was opened
+        self._last_written = -math.inf
 
     @property
     def rested_at(self) -> float:
-        """Moment on the clock from which the device takes another write, `rest_s` after the last one."""
-        return self._wrote + self.rest_s
+        """Moment on the clock from which the device takes another write, `rest_s` after the last write [s]."""
+        return self._last_written + self.rest_s
 
     @property
     def heard_at(self) -> float:
-        """Moment on the clock at which bytes came last, or the line was opened."""
-        return self._heard
+        """Moment on the clock at which bytes came last, or the line was opened [s]."""
+        return self._last_received
 
     @property
     def connected(self) -> bool:
@@ -113,7 +113,7 @@ class SerialPort:
         self._open_line()
 
     def write(self, data: bytes) -> None:
-        """Send bytes; never waits.
+        """Send bytes; never wait.
 
         Raises
         ------
@@ -121,7 +121,7 @@ class SerialPort:
         """
         if self._line is None:
             raise DeviceError(f"bus '{self.name}': not open")
-        self._wrote = self.clock.now()
+        self._last_written = self.clock.now()
         try:
             accepted = self._line.write(data)
         except OSError as error:
@@ -130,17 +130,17 @@ class SerialPort:
             raise DeviceError(f"bus '{self.name}': {len(data) - accepted} of {len(data)} bytes were not taken")
 
     def take_line(self) -> bytes | None:
-        """The oldest complete line, without its end; None if there is none; never waits.
+        """Return the oldest complete line, without its end; None if there is none; never wait.
 
         Raises
         ------
         DeviceError : the line is closed or gone.
         """
-        line = self._take(self._by_line_end)
+        line = self._take(self._frame_by_line_end)
         return None if line is None else line.removesuffix(self.line_end)[-self.longest_line :].rstrip(b"\r")
 
     def take_frame(self, framing: Framing) -> bytes | None:
-        """The oldest complete frame by this rule; None if there is none; drops noise before it; never waits.
+        """Return the oldest complete frame by this rule, and drop noise before it; None if there is none; never wait.
 
         Raises
         ------
@@ -149,17 +149,17 @@ class SerialPort:
         return self._take(framing)
 
     def take_until_silent(self, seconds: float) -> bytes | None:
-        """All bytes that have arrived, once none has come for so long; None before; never waits.
+        """Return all bytes that have arrived, once none has come for `seconds`; None before; never wait.
 
-        For answers without an end, a length or a checksum; `seconds` must be longer than an adapter holds bytes back
-        (`silent_for`), or the answer comes in pieces.
+        It is for answers without an end, a length or a checksum; `seconds` must be longer than an adapter holds bytes
+        back (`silent_for`), or the answer comes in pieces.
 
         Raises
         ------
         DeviceError : the line is closed or gone.
         """
         self._receive(0.0)
-        if not self._received or self.clock.now() - self._heard < seconds:
+        if not self._received or self.clock.now() - self._last_received < seconds:
             return None
         received = self._received[-self.longest_line :]
         self._forget()
@@ -172,7 +172,7 @@ class SerialPort:
         ------
         DeviceError : the line is closed or gone.
         """
-        rule = framing or self._by_line_end
+        rule = framing or self._frame_by_line_end
         while not self._frame_length(rule) and (seconds_left := moment - self.clock.now()) > 0.0:
             self._receive(seconds_left)
 
@@ -187,20 +187,21 @@ class SerialPort:
         self._forget()
 
     def silent_for(self, seconds: float) -> bool:
-        """Drop all bytes that have arrived, and tell whether none came for so long.
+        """Drop all bytes that have arrived, and return whether none came for `seconds`.
 
-        The silence that some protocols want before a question (Modbus RTU: 3.5 characters). An adapter on USB passes
-        bytes on late, up to 16 ms with FTDI's default latency timer, so that the silence on the line is longer than
-        what is seen here, or bytes are still on their way; it says nothing about the end of a frame.
+        Some protocols need such a silence before a question (Modbus RTU: 3.5 characters). An adapter on USB passes
+        bytes on late, up to 16 ms with FTDI's default latency timer: the silence on the line may be longer than it
+        seems here, or bytes may still be on their way. It therefore tells nothing about the end of a frame.
 
         Raises
         ------
         DeviceError : the line is closed or gone.
         """
         self.discard()
-        return self.clock.now() - self._heard >= seconds
+        return self.clock.now() - self._last_received >= seconds
 
     def _take(self, framing: Framing) -> bytes | None:
+        """Return and remove the oldest complete frame; None if there is none."""
         length = self._frame_length(framing)
         if not length:
             self._receive(0.0)
@@ -220,27 +221,34 @@ class SerialPort:
             self._received = self._received[-self.longest_line :]
         return length if length <= len(self._received) else 0
 
-    def _by_line_end(self, received: bytes) -> FrameCut:
+    def _frame_by_line_end(self, received: bytes) -> FrameCut:
+        """Return the length of the first line with its end; a `Framing`."""
         end = received.find(self.line_end)
         return FrameCut(0, end + len(self.line_end) if end >= 0 else 0)
 
     def _receive(self, timeout: float) -> None:
+        """Add bytes that arrive within `timeout` [s] to those received.
+
+        Raises
+        ------
+        DeviceError : the line is closed or gone.
+        """
         if self._line is None:
             raise DeviceError(f"bus '{self.name}': not open")
         try:
-            read = self._line.read(timeout)
+            received = self._line.read(timeout)
         except OSError as error:
             raise self._gone_error(error) from None
-        if read:
-            self._received += read
-            self._heard = self.clock.now()
+        if received:
+            self._received += received
+            self._last_received = self.clock.now()
 
     def _open_line(self) -> None:
         try:
             self._line = self._connect()
         except (OSError, ValueError, ImportError) as error:
             raise DeviceError(f"bus '{self.name}': {error}") from None
-        self._heard = self.clock.now()
+        self._last_received = self.clock.now()
 
     def _disconnect(self) -> None:
         self._forget()
@@ -253,4 +261,5 @@ class SerialPort:
         self._received = b""
 
     def _gone_error(self, error: OSError) -> DeviceError:
+        """Return the error to raise for a device that is gone."""
         return DeviceError(f"bus '{self.name}': the device is gone: {error}")

@@ -18,9 +18,9 @@ from leactl.driver.serial_port import SerialPort
 from leactl.errors import DeviceError, DeviceFault, InputError, NoAnswer
 from leactl.quantities import ChannelSpec
 
-MOST_FAILURES = 3  # in sequence, of rounds or of attempts to restore the settings; the third raises
+MOST_FAILURES = 3  # of rounds in sequence, or of attempts to restore the settings; the third raises
 RESTORE_S = 2.0  # time to restore the settings, without the timeouts of lost answers
-TRY_S = 0.1  # least time for one attempt to switch off
+TRY_S = 0.1  # shortest time for one attempt to switch off
 # an output may differ from its set level by this share of the level plus this many V or A, for this long
 REGULATION_SHARE, REGULATION_V, REGULATION_A, REGULATION_S = 0.03, 0.1, 0.1, 1.0
 STEP_TOLERANCE = 1e-6  # of a step: rounding error of a decimal number divided by the step
@@ -40,7 +40,7 @@ class SupplyReading(NamedTuple):
 
 
 class SwitchOffTrouble:
-    """Reason why an output is not confirmed off, filled in by a dialogue; `text` is empty at first."""
+    """Reason why an output is not confirmed off; a dialogue sets `text`, which is empty at first."""
 
     text = ""
 
@@ -49,34 +49,36 @@ class Regulation:
     """Watches whether an output that is on keeps its set levels, for an instrument that does not report it."""
 
     def __init__(self) -> None:
-        self._astray_since: float | None = None  # None: no measurement since the last command
+        self._off_level_since: float | None = None  # None: no measurement since the last command
 
     def begin_anew(self) -> None:
         """Allow `REGULATION_S` for the output to follow a command."""
-        self._astray_since = None
+        self._off_level_since = None
 
     def is_lost(self, measured: tuple[float, float], levels: tuple[float, float], limited: bool, moment: float) -> bool:
-        """Return whether the output, by this measurement too, is off its levels [V, A] for over `REGULATION_S`.
+        """Return whether the output has been off its levels for `REGULATION_S`, up to this measurement.
 
-        If `limited`, the instrument regulates the current, otherwise the voltage; the quantity that it does not
-        regulate may be below its level.
+        Parameters
+        ----------
+        measured, levels : voltage and current [V, A], measured and set.
+        limited : whether the instrument regulates the current, otherwise the voltage; the quantity that it does not
+            regulate may be below its level.
+        moment : of the measurement [s].
         """
         (volts, amperes), (set_volts, set_amperes) = measured, levels
         tolerance_v = REGULATION_SHARE * set_volts + REGULATION_V
         tolerance_a = REGULATION_SHARE * set_amperes + REGULATION_A
         over_v, over_a = volts - set_volts, amperes - set_amperes
-        reached = over_a >= -tolerance_a if limited else over_v >= -tolerance_v
-        if (reached and over_v <= tolerance_v and over_a <= tolerance_a) or self._astray_since is None:
-            self._astray_since = moment
-        return moment - self._astray_since >= REGULATION_S
+        reaches_level = over_a >= -tolerance_a if limited else over_v >= -tolerance_v
+        if (reaches_level and over_v <= tolerance_v and over_a <= tolerance_a) or self._off_level_since is None:
+            self._off_level_since = moment
+        return moment - self._off_level_since >= REGULATION_S
 
 
 def refuse_between_steps(name: str, levels: tuple[float, float], steps: tuple[float, float]) -> None:
-    """Check that levels [V, A] are whole steps of an instrument.
+    """Raise InputError if a level [V, A] is between two steps [V, A] of an instrument.
 
-    Raises
-    ------
-    InputError : one is between two steps.
+    name : of the supply, for the message.
     """
     for value, step, unit in zip(levels, steps, "VA", strict=True):
         count = value / step
@@ -95,7 +97,7 @@ class Dialogue(Protocol):
         """Switch off repeatedly until the output is measured or reported off."""
 
     def set_up(self, off_trouble: SwitchOffTrouble) -> Script[Sequence[str]]:
-        """Switch off, check that it is the expected instrument, and configure it; returns notices.
+        """Switch off, check that it is the expected instrument, and configure it; return notices.
 
         Raises
         ------
@@ -103,7 +105,7 @@ class Dialogue(Protocol):
         """
 
     def leave(self) -> Script[Sequence[str]]:
-        """Restore the settings that `set_up` changed; returns their names.
+        """Restore the settings that `set_up` changed; return their names.
 
         After an error it is run again and restores the settings that are not confirmed yet.
 
@@ -116,7 +118,7 @@ class Dialogue(Protocol):
         """Drop replies to earlier queries."""
 
     def put(self, voltage: float, current: float) -> Script[None]:
-        """Set voltage [V] and current [A] and read both back; switches nothing.
+        """Set voltage [V] and current [A] and read both back; switch nothing.
 
         Raises
         ------
@@ -165,16 +167,16 @@ class SupplyLine:
     def __init__(
         self, name: str, role: str, settings: SupplySettings, port: SerialPort, dialogue: Dialogue, try_s: float = TRY_S
     ) -> None:
-        """`try_s`: least time for one attempt of `output_off` [s]; an attempt takes half of the remaining time."""
+        """`try_s` is the shortest time for an attempt of `output_off`, which may take half of the remaining time."""
         self._name, self._port, self._clock, self._dialogue = name, port, port.clock, dialogue
         self._answer_s, self._period_s, self._try_s = settings.answer_s, settings.period_s, try_s
         self.most = settings.voltage_limit_V, settings.current_limit_A
         channels = [ChannelSpec(q, q, role, name, f"{name} {q.replace('_', ' ')}") for q in QUANTITIES[settings.feeds]]
         self.stream = StreamSpec(name, tuple(channels))
         self.supplying = False
-        self._opened = False
+        self._is_open = False
         self._confirmed_off = False  # since the output was last switched on
-        self._talk: Talk[None] | None = None
+        self._conversation_underway: Talk[None] | None = None
         self._demanded_levels: tuple[float, float] | None = None
         self._demanded_switch: bool | None = None
         self._expected_on = False  # the output, after the last command to switch it
@@ -183,7 +185,7 @@ class SupplyLine:
         self._notices: list[str] = []
 
     def make_safe(self, deadline_s: float) -> Confirmation:
-        """Switch off and confirm it, from any state, over a new connection if needed; never raises."""
+        """Switch off and confirm it, from any state, over a new connection if needed; never raise."""
         self._forget_demands()
         self._confirmed_off = False
         deadline = self._clock.now() + deadline_s
@@ -193,29 +195,31 @@ class SupplyLine:
                 if not self._port.connected:
                     self._port.reopen()
                 self._port.discard()
-                halfway = self._clock.now() + max(
+                attempt_deadline = self._clock.now() + max(
                     0.5 * (deadline - self._clock.now()), min(self._try_s, 0.5 * deadline_s)
                 )
                 script = self._dialogue.output_off(off_trouble)
-                confirmed = Talk(self._port, script, self._answer_s).finish(min(halfway, deadline))
+                confirmation = Talk(self._port, script, self._answer_s).finish(min(attempt_deadline, deadline))
             except DeviceError as error:
-                if off_trouble.text or not (reason and isinstance(error, NoAnswer)):  # the last try has little time
+                # a missing answer replaces no other reason: the last attempt has little time for one
+                if off_trouble.text or not (reason and isinstance(error, NoAnswer)):
                     reason = off_trouble.text or str(error)
                 self._start_afresh(deadline)
                 continue
             self.supplying, self._confirmed_off = False, True
             break
         else:
-            confirmed = Confirmation(False, f"not confirmed within {deadline_s:g} s: {reason or 'no time was left'}")
-        if not self._opened:
+            confirmation = Confirmation(False, f"not confirmed within {deadline_s:g} s: {reason or 'no time was left'}")
+        if not self._is_open:
             self._port.close()
-        return confirmed
+        return confirmation
 
-    def _start_afresh(self, until: float) -> None:
+    def _start_afresh(self, deadline: float) -> None:
+        """Connect anew; if that fails, wait for 20 ms, at most until the deadline, before the next attempt."""
         try:
             self._port.reopen()
         except DeviceError:
-            self._clock.sleep_until(min(until, self._clock.now() + 0.02))
+            self._clock.sleep_until(min(deadline, self._clock.now() + 0.02))
 
     def stop_now(self) -> None:
         """Send the command that switches the output off, without waiting; over a new connection if needed."""
@@ -226,14 +230,15 @@ class SupplyLine:
                     self._port.reopen()
                 self._port.write(self._dialogue.off)
             except DeviceError:
-                if not self._opened:
+                if not self._is_open:
                     return  # there is no line to the supply; `make_safe` returns that as its reason
                 self._port.reopen()
             else:
                 return
 
     def _forget_demands(self) -> None:
-        self._talk = self._demanded_levels = self._demanded_switch = None
+        """End the conversation and drop its demands; from now on the output is expected to be off."""
+        self._conversation_underway = self._demanded_levels = self._demanded_switch = None
         self._expected_on = False
 
     def open(self, within_s: float) -> None:
@@ -244,7 +249,7 @@ class SupplyLine:
         DeviceError : it is absent, another one, refuses a setting, or cannot be switched off.
         """
         self._port.open()
-        self._opened = True
+        self._is_open = True
         self._port.discard()
         self._forget_demands()
         off_trouble = SwitchOffTrouble()
@@ -266,10 +271,10 @@ class SupplyLine:
         ------
         DeviceError : a setting could not be restored; the line is closed all the same.
         """
-        self._talk = None
-        if not self._opened:
+        self._conversation_underway = None
+        if not self._is_open:
             return
-        self._opened = False
+        self._is_open = False
         try:
             if self._confirmed_off:
                 self._restore_settings()
@@ -301,10 +306,11 @@ class SupplyLine:
         ------
         InputError : a value is not finite, below `least` or above `most`; nothing is sent.
         """
-        for value, low, top, unit in zip((voltage, current), least, self.most, "VA", strict=True):
-            if not low <= value <= top:
+        for value, lowest, highest, unit in zip((voltage, current), least, self.most, "VA", strict=True):
+            if not lowest <= value <= highest:
                 raise InputError(
-                    f"{self._name}: {value:g} {unit} asked of a supply that is good for {low:g} to {top:g} {unit}"
+                    f"{self._name}: {value:g} {unit} asked of a supply that is good for {lowest:g} to"
+                    f" {highest:g} {unit}"
                 )
         self._demanded_levels = voltage, current
 
@@ -325,18 +331,18 @@ class SupplyLine:
     # -- the stream --------------------------------------------------------------------------------------------------
 
     def take(self) -> Sequence[Row]:
-        """Continue the conversation without waiting; returns the rows measured since the last call.
+        """Continue the conversation without waiting; return the rows measured since the last call.
 
         Raises
         ------
         DeviceError : the line is gone, the instrument did not answer three times in sequence, or refuses a command.
         """
-        if self._talk is None:
-            self._talk = Talk(self._port, self._conversation(), self._answer_s)
+        if self._conversation_underway is None:
+            self._conversation_underway = Talk(self._port, self._conversation(), self._answer_s)
         try:
-            self._talk.step()
+            self._conversation_underway.step()
         except DeviceError as error:
-            self._talk = None
+            self._conversation_underway = None
             raise type(error)(f"{self._name}: {error}") from None
         if not self._rows:
             return ()
@@ -344,33 +350,33 @@ class SupplyLine:
         return rows
 
     def notices(self) -> Sequence[str]:
-        """Notices since the last call: messages of the instrument, lost rounds, changes of the regulation mode."""
+        """Return the notices since the last call: the instrument's messages, lost rounds, changes of the mode."""
         notices, self._notices = self._notices, []
         return notices
 
     def _conversation(self) -> Script[None]:
-        """Carry out demands and measure in between; a lost reply loses a round, the third in sequence raises."""
-        due, lost_rounds, synchronised = -math.inf, 0, False
+        """Carry out demands and measure in between; a lost reply loses a round, and the third in sequence raises."""
+        next_round, lost_rounds, is_synchronised = -math.inf, 0, False
         while True:
             try:
-                if not synchronised:
+                if not is_synchronised:
                     yield from self._dialogue.synchronise()
-                    synchronised = True
+                    is_synchronised = True
                 yield from self._carry_out()
-                if self._clock.now() < due:
+                if self._clock.now() < next_round:
                     yield Pause()
                     continue
-                due = self._clock.now() + self._period_s
+                next_round = self._clock.now() + self._period_s
                 self._record_reading((yield from self._dialogue.measure()))
                 lost_rounds = 0
             except (NoAnswer, Unreadable) as error:
-                lost_rounds, synchronised = lost_rounds + 1, False
+                lost_rounds, is_synchronised = lost_rounds + 1, False
                 if lost_rounds >= MOST_FAILURES:
                     raise
                 self._notices.append(f"a round was lost: {error}")
 
     def _carry_out(self) -> Script[None]:
-        """Carry out demands in the order off, levels, on; a demand stays until it is confirmed."""
+        """Carry out demands in the order off, levels, on; each demand stays until it is confirmed."""
         if self._demanded_switch is False:
             yield from self._dialogue.switch(False)
             self.supplying = False
@@ -386,6 +392,7 @@ class SupplyLine:
             self._demanded_switch = None if self._demanded_switch is True else self._demanded_switch
 
     def _record_reading(self, reading: SupplyReading) -> None:
+        """Store a reading as a row; it is a fault if the output is not in the commanded state."""
         self.supplying, fault = reading.on, reading.fault
         if reading.on is not self._expected_on and not fault:
             fault = f"the output is {'on' if reading.on else 'off'} by itself"
@@ -404,7 +411,7 @@ class SupplyDriver(Driver):
     open_s: ClassVar[float]  # longest time that opening may take
 
     def safe_state(self, deadline_s: float) -> Confirmation:
-        """Switch off and confirm it, from any state, over a new connection if needed; never raises."""
+        """Switch off and confirm it, from any state, over a new connection if needed; never raise."""
         return self._line.make_safe(deadline_s)
 
     def stop_now(self) -> None:
@@ -458,7 +465,7 @@ class SupplyDriver(Driver):
         return (self._line.stream,)
 
     def take(self) -> Sequence[Row]:
-        """Continue the conversation without waiting; returns the rows measured since the last call.
+        """Continue the conversation without waiting; return the rows measured since the last call.
 
         Raises
         ------
@@ -467,5 +474,5 @@ class SupplyDriver(Driver):
         return self._line.take()
 
     def notices(self) -> Sequence[str]:
-        """Notices: messages of the instrument, lost rounds, changes between constant voltage and constant current."""
+        """Return the notices since the last call, those of `SupplyLine.notices`."""
         return self._line.notices()

@@ -9,7 +9,7 @@ class Tally:
         self._next_reported = 1
 
     def take_note(self) -> str:
-        """Text with the count if it has reached the next power of ten since the last report; else empty."""
+        """Return the count as text if it reached the next power of ten since the last report; else an empty text."""
         if self.count < self._next_reported:
             return ""
         while self._next_reported <= self.count:

@@ -76,13 +76,13 @@ class Keyboard:
 
 
 @contextmanager
-def keyboard(is_shown: bool) -> Iterator[Keyboard]:
+def keyboard(shown: bool) -> Iterator[Keyboard]:
     """Read single keys without echo until the block is left, and then restore the terminal.
 
     Keys are read only if stdin is a terminal in whose foreground this process is. Ctrl-C, Ctrl-Z and Ctrl-S keep their
     meaning.
 
-    is_shown : whether the operator sees which keys stop the run; if not, no keys are read.
+    shown : whether the operator sees which keys stop the run; if not, no keys are read.
     """
     try:
         import termios
@@ -94,8 +94,8 @@ def keyboard(is_shown: bool) -> Iterator[Keyboard]:
         terminal = sys.stdin.fileno()
         saved_settings: list[Any] = termios.tcgetattr(terminal)
     except (OSError, ValueError, AttributeError, termios.error):  # no stdin, a closed one, or no terminal
-        is_shown = False
-    if not is_shown or not _is_in_foreground(terminal):
+        shown = False
+    if not shown or not _is_in_foreground(terminal):
         yield Keyboard()
         return
     try:

@@ -109,7 +109,7 @@ def test_no_variable_leads_around_the_lock_of_a_real_bench(holder, real_bench, m
 
 
 def test_a_lock_that_was_asked_for_too_often_still_holds(holder, real_bench, monkeypatch):
-    monkeypatch.setattr(locks, "_holder", lambda _name: "process unknown")
+    monkeypatch.setattr(locks, "_holder_text", lambda _name: "process unknown")
     with pytest.raises(DeviceError, match="process unknown; wait for its end"), locks.held(*real_bench()):
         raise AssertionError
 

@@ -14,7 +14,7 @@ def test_what_was_asked_for_before_the_drive_followed_has_led_nowhere():
     path = AnglePath(1.0, 0.0)
     path.ask(2.0, 0.1)
     path.update(1.05, engaged=True, now=0.2)
-    assert (path.sent, path.sent_at) == (1.0, 0.2)
+    assert (path.base_angle, path.base_time) == (1.0, 0.2)
 
 
 def test_what_was_asked_for_while_the_drive_followed_counts_from_when_it_was():
@@ -23,9 +23,9 @@ def test_what_was_asked_for_while_the_drive_followed_counts_from_when_it_was():
     path.ask(1.1, 0.15)
     path.ask(1.2, 0.16)
     path.update(1.0, engaged=True, now=0.2)
-    assert (path.sent, path.sent_at) == (1.2, 0.16)
+    assert (path.base_angle, path.base_time) == (1.2, 0.16)
     path.update(1.0, engaged=True, now=0.3)  # nothing was asked for since
-    assert (path.sent, path.sent_at) == (1.2, 0.3)
+    assert (path.base_angle, path.base_time) == (1.2, 0.3)
 
 
 @given(ANGLES, ANGLES, ANGLES)
@@ -34,17 +34,17 @@ def test_a_drive_that_has_let_go_begins_again_where_the_shaft_is(asked, measured
     path.update(0.0, engaged=True, now=0.1)
     path.ask(asked, 0.15)
     path.update(measured, engaged=False, now=0.2)
-    assert (path.sent, path.sent_at) == (measured, 0.2)
+    assert (path.base_angle, path.base_time) == (measured, 0.2)
     path.ask(again, 0.25)
     path.update(measured, engaged=True, now=0.3)  # it was not engaged when that was asked for
-    assert (path.sent, path.sent_at) == (measured, 0.3)
+    assert (path.base_angle, path.base_time) == (measured, 0.3)
 
 
 def test_an_angle_that_is_not_known_keeps_the_last_one_that_is():
     path = AnglePath(math.nan, 0.0)
     path.update(math.nan, engaged=True, now=0.1)
-    assert math.isnan(path.sent)
+    assert math.isnan(path.base_angle)
     path.update(0.5, engaged=True, now=0.2)
-    assert path.sent == 0.5
+    assert path.base_angle == 0.5
     path.update(math.nan, engaged=False, now=0.3)
-    assert (path.sent, path.sent_at) == (0.5, 0.3)
+    assert (path.base_angle, path.base_time) == (0.5, 0.3)

@@ -109,7 +109,7 @@ class NoDetour(Wrong):
     """Takes a rotor to turn evenly between two samples."""
 
     def spoil(self, rotor):
-        rotor._detour = 0.0
+        rotor._detour_factor = 0.0
 
 
 class NoNoise(Wrong):

@@ -26,7 +26,7 @@ def pace(**overruns):
 def late_at(made, *times):
     """Overruns that do not follow one another: a check in time lies before each."""
     for now in times:
-        made.last = now - 3.0 * PERIOD_S
+        made.last_check = now - 3.0 * PERIOD_S
         made.look(now)
 
 
@@ -41,7 +41,7 @@ def test_overruns_in_a_row_are_counted_anew_after_a_cycle_in_time():
     made = pace(share_percent=99.0, window_s=600.0, in_a_row=3)
     for now in (1.0, 1.5):
         made.look(now)
-    made.last = 1.75  # a cycle in time
+    made.last_check = 1.75  # a cycle in time
     for now in (2.0, 2.5):
         made.look(now)
     with pytest.raises(SafetyTrip, match="3 loop overruns in a row"):

@@ -160,7 +160,7 @@ def test_a_supply_that_gives_more_than_is_outlived_trips_though_a_reading_is_los
 def test_a_larger_current_by_another_sensor_counts():
     rig = SupplyRig()
     rig.heat(8.0, 2.0)
-    rig.supervisor._measured._currents.tell("test", "shunt", 5.0)
+    rig.supervisor._measured._leads.tell("test", "shunt", 5.0)
     rig.cycle(3)
     assert rig.heating == 5.0
 

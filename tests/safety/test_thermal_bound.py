@@ -207,7 +207,7 @@ def test_a_winding_heats_by_the_resistance_that_is_the_highest_at_its_temperatur
     warmth = 1.0 + max(rise.low * beside, rise.high * beside)
     heat = 2.0 * box.phase_resistance.high * warmth * 100.0 * box.current_gain**2
     bound = ThermalBound([box], temperature)  # as warm as the air: no heat flows
-    fastest = bound.fastest(100.0 * ONE, ONE, 0.0 * ONE, temperature - box.ambient_rise)
+    fastest = bound.fastest_warming(100.0 * ONE, ONE, 0.0 * ONE, temperature - box.ambient_rise)
     assert fastest == pytest.approx(heat / box.winding_capacitance.low)
 
 
