@@ -43,10 +43,10 @@ class Bench:
             if driver.synchronised and isinstance(port, CanPort) and entry.bus:
                 self.syncs[entry.bus] = port.sync
         self._sync = list(self.syncs.values())
-        self._noticing = [
+        self._drivers_with_notices = [
             (name, driver) for name, driver in self.drivers.items() if type(driver).notices is not Driver.notices
         ]
-        self._asynchronous = [driver for driver in self.drivers.values() if driver.streams]
+        self._drivers_with_streams = [driver for driver in self.drivers.values() if driver.streams]
         self.loop_channels: tuple[ChannelSpec, ...] = tuple(
             channel._replace(name=f"{channel.role}_{channel.name}")
             for drive in self._motion
@@ -56,9 +56,9 @@ class Bench:
     def pass_calls_through(self, wrap: Wrap, names: Sequence[str]) -> None:
         """Wrap these methods of every driver, and every SYNC, by a function; call it before `open`."""
         for name, driver in self.drivers.items():
-            for call in names:
-                if hasattr(driver, call):
-                    setattr(driver, call, wrap(name, call, getattr(driver, call)))
+            for method in names:
+                if hasattr(driver, method):
+                    setattr(driver, method, wrap(name, method, getattr(driver, method)))
         self._sync = [wrap(name, "sync", sync) for name, sync in self.syncs.items()]
 
     @property
@@ -72,15 +72,15 @@ class Bench:
         return [*(self.drives[role] for role in ("test", "load") if role in self.drives), *self.others]
 
     def streams(self) -> dict[str, tuple[ChannelSpec, ...]]:
-        """Channels of every stream of the bench, by stream."""
-        device_streams = {spec.name: spec.channels for driver in self._asynchronous for spec in driver.streams}
+        """Return the channels of every stream of the bench, by the name of the stream."""
+        device_streams = {spec.name: spec.channels for driver in self._drivers_with_streams for spec in driver.streams}
         return {"loop": self.loop_channels, **device_streams} if self.loop_channels else device_streams
 
     @property
     def fast_streams(self) -> dict[str, float]:
         """Sampling rate [Hz] of each stream that declares one."""
-        every = [spec for driver in self._asynchronous for spec in driver.streams]
-        return {spec.name: spec.rate_Hz for spec in every if spec.rate_Hz}
+        specs = [spec for driver in self._drivers_with_streams for spec in driver.streams]
+        return {spec.name: spec.rate_Hz for spec in specs if spec.rate_Hz}
 
     def open(self) -> None:
         """Open every device in the order of the file; if one fails, all are made safe and closed.
@@ -118,7 +118,7 @@ class Bench:
                 raise type(error)(f"{text}; {not_confirmed}" if not_confirmed else text) from None
 
     def close(self) -> list[str]:
-        """Close every device, even if one of them fails; one line for each failure."""
+        """Close every device, even if one of them fails; return one line for each failure."""
         faults = []
         for name, driver in self.drivers.items():
             try:
@@ -128,7 +128,9 @@ class Bench:
         return faults
 
     def exchange(self, deadline: float) -> list[float]:
-        """One cycle with all drives: send setpoints and SYNC, collect readings; returns the values of `loop_channels`.
+        """Make one cycle with all drives: send setpoints and SYNC, and return the readings of `loop_channels`.
+
+        deadline : time on the bench's clock until which answers are collected [s].
 
         Raises
         ------
@@ -171,7 +173,7 @@ class Bench:
         rows: list[Row | SampleBlock] = []
         driver: Driver | None = None
         try:
-            for driver in self._asynchronous:
+            for driver in self._drivers_with_streams:
                 if new_rows := driver.take():
                     rows += new_rows
         except (LeactlError, MemoryError):
@@ -182,7 +184,7 @@ class Bench:
 
     def notices(self) -> list[tuple[str, str]]:
         """Return the (device, notice) pairs since the last call."""
-        return [(name, text) for name, driver in self._noticing for text in driver.notices()]
+        return [(name, text) for name, driver in self._drivers_with_notices for text in driver.notices()]
 
     def feed(self) -> None:
         """Send the host's heartbeat to every drive; only the control loop calls this, after a supervised cycle."""
@@ -197,11 +199,11 @@ def _driver_error(driver: object, error: BaseException) -> DeviceError:
 
 
 def require_channels_for_interlocks(bench: Bench, document: yamlfile.Document) -> None:
-    """Refuse interlocks whose quantity no device measures, and measured temperatures without an interlock.
+    """Check that devices measure what interlocks watch, and that temperatures without a limit have an interlock.
 
     Raises
     ------
-    InputError : one line each, with file, line and column.
+    InputError : one line for each fault, with file, line and column.
     """
     channels = [channel for stream in bench.streams().values() for channel in stream]
     faults = [document.fault(("interlocks", *keys), text) for keys, text in bench.file.interlocks.blind(channels)]
@@ -210,6 +212,7 @@ def require_channels_for_interlocks(bench: Bench, document: yamlfile.Document) -
 
 
 def _port(name: str, bus: Bus, wiring: Wiring) -> CanPort | I2cPort | SerialPort:
+    """Return the port that the drivers of a bus share."""
     if isinstance(bus, CanBus):
         return CanPort(wiring.can(name, bus), wiring.clock, name, bus.returns_own)
     if isinstance(bus, LineBus):

@@ -27,7 +27,7 @@ NonNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
 SHIPPED = Path(__file__).parent / "files"
 
 
-RETURNS_OWN = ("udp_multicast", "gs_usb", "cantact")  # interfaces of python-can that return sent frames
+RETURNS_OWN = ("udp_multicast", "gs_usb", "cantact")  # interfaces of python-can that return the frames they send
 
 
 class CanBus(Block):
@@ -65,7 +65,7 @@ class SerialBus(Block):
 
     @property
     def byte_s(self) -> float:
-        """Duration of one byte on the line [s], start and stop bits included."""
+        """Duration of one byte on the line [s], including start, parity and stop bits."""
         return (1 + self.data_bits + (self.parity != "none") + self.stop_bits) / self.baudrate
 
 
@@ -162,7 +162,7 @@ class Emulated(Block):
     temperature_gain: Annotated[float, Field(strict=True, ge=0.5, le=2)] = 1.0
 
     def expect(self, condition: str) -> None:
-        """Refuse an unknown condition, if the block defines conditions.
+        """Raise InputError for an unknown condition, if the block defines conditions.
 
         Raises
         ------
@@ -242,17 +242,17 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
     return bench, usable, document
 
 
-def devices_of_run(devices: Sequence[CheckedDevice], asked: Collection[str]) -> list[CheckedDevice]:
+def devices_of_run(devices: Sequence[CheckedDevice], quantities: Collection[str]) -> list[CheckedDevice]:
     """Return the devices of a run.
 
     Parameters
     ----------
-    asked : quantities; a device that is `on_demand` takes part only if it measures one of them.
+    quantities : a device that is `on_demand` takes part only if it measures one of them.
     """
     return [
         device
         for device in devices
-        if not device.entry.on_demand or any(measured.quantity in asked for measured in device.settings.shown())
+        if not device.entry.on_demand or any(measured.quantity in quantities for measured in device.settings.shown())
     ]
 
 
@@ -266,8 +266,8 @@ def check_devices(bench: BenchFile) -> list[CheckedDevice]:
 
 def nominal_model(bench: BenchFile) -> str:
     """Return the text of a model file for a bench: the file of the test motor, with `response` as block `bench`."""
-    known = bench.response.model_dump(exclude_none=True)
-    block = "".join(f"  {name}: {value!r}\n" for name, value in known.items())
+    properties = bench.response.model_dump(exclude_none=True)
+    block = "".join(f"  {name}: {value!r}\n" for name, value in properties.items())
     motor = load_motor(bench.motors["test"])[1].text.rstrip("\n")
     return f"{motor}\nbench:\n{block}" if block else f"{motor}\n"
 
@@ -304,10 +304,10 @@ def changed_buses(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | 
             changed[name] = bus.model_copy(update={"resource": channel})
             continue
         if not isinstance(bus, CanBus) or not interface:
-            known = ", ".join(key for key, value in bench.buses.items() if not isinstance(value, I2cBus)) or "none"
+            changeable = ", ".join(key for key, value in bench.buses.items() if not isinstance(value, I2cBus)) or "none"
             raise InputError(
                 f"--bus {word}: NAME=INTERFACE:CHANNEL was expected, with a CAN bus of the bench, NAME=visa:RESOURCE,"
-                f" with a raw socket of it, or NAME=serial:PORT, with a serial line of it ({known})"
+                f" with a raw socket of it, or NAME=serial:PORT, with a serial line of it ({changeable})"
             )
         changed[name] = bus.model_copy(update={"interface": interface, "channel": channel})
     return changed
@@ -330,21 +330,21 @@ def _unusable_drivers(document: yamlfile.Document) -> list[str]:
 def _shared_addresses(
     document: yamlfile.Document, buses: Mapping[str, Bus], devices: Sequence[CheckedDevice]
 ) -> list[str]:
-    """Return one line for each device with the bus address of another: both would obey commands to either of them."""
+    """Return one line for each device with the bus address of another: both would obey a command to either device."""
     owners: dict[tuple[str, int | None], str] = {}
     faults = []
     for device in devices:
         bus, address = device.entry.bus, device.settings.bus_address
-        wire = buses.get(bus or "")
-        is_line = isinstance(wire, LineBus)  # takes one device, or several with addresses
+        bus_entry = buses.get(bus or "")
+        is_line = isinstance(bus_entry, LineBus)  # takes one device, or several with addresses
         if bus is None or (address is None and not is_line):
             continue
         # two buses may lead to one instrument
-        socket = "{} port {}".format(*wire.address) if isinstance(wire, VisaBus) else ""
+        socket = "{} port {}".format(*bus_entry.address) if isinstance(bus_entry, VisaBus) else ""
         owner = owners.setdefault((socket or bus, address), device.name)
         if owner != device.name:
-            where = (socket or f"bus '{bus}'") if address is None else f"address {address} on bus '{bus}'"
-            message = f"{where} is that of {owner}; another one was expected"
+            address_text = (socket or f"bus '{bus}'") if address is None else f"address {address} on bus '{bus}'"
+            message = f"{address_text} is that of {owner}; another one was expected"
             faults.append(document.fault(("devices", device.name, "settings"), message))
     return faults
 
@@ -419,12 +419,12 @@ def _check(
         faults.append(document.fault((*keys, "driver"), str(error)))
         return None
     bus = bench.buses.get(entry.bus) if entry.bus else None
-    kinds = (driver.transport, *driver.further_transports)
-    if driver.transport != "none" and (bus is None or bus.kind not in kinds):
-        stated = "no bus" if entry.bus is None else f"'{entry.bus}'"
-        choices = [key for key, value in bench.buses.items() if value.kind in kinds]
-        expected = ", ".join(choices) or f"a bus of kind {' or '.join(kinds)} under buses"
-        faults.append(document.fault((*keys, "bus"), f"{stated}: {entry.driver} needs {expected}"))
+    bus_kinds = (driver.transport, *driver.further_transports)
+    if driver.transport != "none" and (bus is None or bus.kind not in bus_kinds):
+        statement = "no bus" if entry.bus is None else f"'{entry.bus}'"
+        choices = [key for key, value in bench.buses.items() if value.kind in bus_kinds]
+        expected = ", ".join(choices) or f"a bus of kind {' or '.join(bus_kinds)} under buses"
+        faults.append(document.fault((*keys, "bus"), f"{statement}: {entry.driver} needs {expected}"))
     try:
         settings = driver.Settings.model_validate(entry.settings)
     except ValidationError as error:
@@ -432,10 +432,10 @@ def _check(
         return None
     silence = settings.host_silence_s
     if hasattr(driver, "engage") and not (silence and silence <= SAFE_STATE_S):
-        stated = (
+        statement = (
             f"stops by itself {silence:g} s after the host" if silence else "does not stop by itself without the host"
         )
-        message = f"the drive {stated}; {SAFE_STATE_S:g} s at the most were expected"
+        message = f"the drive {statement}; {SAFE_STATE_S:g} s at the most were expected"
         faults.append(document.fault((*keys, "settings"), message))
     for measurable in settings.shown():
         bounds = bench.limits.of(measurable.quantity)

@@ -16,10 +16,11 @@ from leactl.driver import registry
 from leactl.driver.can_port import CHECK_BUS_HINT
 
 LEAST_PYTHON = (3, 11)
-LEAST_FREE_BYTES = 2 << 30  # for some 100 h at 50 Hz, or 3 h at 1 kHz
+LEAST_FREE_BYTES = 2 << 30  # enough for some 100 h of recording at 50 Hz, or 3 h at 1 kHz
 CAN_TYPE = "280"  # ARPHRD_CAN in /sys/class/net/*/type
-LONGEST_IP_S = 5.0  # time for an answer of iproute2
-LEAST_QUEUE = 100  # frames; a cycle of two drives at 1 kHz queues seven, and Linux gives an interface room for ten
+IP_TIMEOUT_S = 5.0  # time for an answer of iproute2
+# a cycle of two drives at 1 kHz queues seven frames, and Linux gives the queue of an interface room for ten
+LEAST_QUEUE_FRAMES = 100
 RESTART_MS = 100  # time until a controller that has left the bus returns, so that drives can be commanded to stop
 
 
@@ -38,7 +39,7 @@ def ip_link(interface: str) -> Mapping[str, Any]:
     """Return the JSON object of iproute2 for a network interface; empty if there is no answer."""
     command = ["ip", "-json", "-details", "-statistics", "link", "show", interface]
     try:
-        answer = subprocess.run(command, capture_output=True, timeout=LONGEST_IP_S, check=True)
+        answer = subprocess.run(command, capture_output=True, timeout=IP_TIMEOUT_S, check=True)
         [link] = json.loads(answer.stdout)
     except (OSError, subprocess.SubprocessError, ValueError):
         return {}
@@ -52,12 +53,14 @@ def run_checks(root: Path = Path("/"), link_of: Callable[[str], Mapping[str, Any
 
 
 def _python() -> Iterator[HostFinding]:
+    """Check the version of the interpreter."""
     fine = sys.version_info >= LEAST_PYTHON
     mend = "" if fine else "sudo apt install python3.11 python3.11-venv"
     yield HostFinding("python", fine, True, f"{platform.python_version()} on {platform.machine()}", mend)
 
 
 def _packages() -> Iterator[HostFinding]:
+    """Check that each package is installed that leactl or one of its extras requires, except those of tests."""
     for requirement in requires("leactl") or ():
         extra = requirement.partition("extra ==")[2].strip(" \"'")
         if extra == "test":
@@ -71,10 +74,13 @@ def _packages() -> Iterator[HostFinding]:
 
 
 def _plugins() -> Iterator[HostFinding]:
-    for item in registry.survey():
-        fine = item.driver is not None
-        mend = "" if fine else f"pip install --force-reinstall {item.source.partition(' ')[0]}, or remove it"
-        yield HostFinding(f"driver {item.name}", fine, False, item.source if fine else item.error, mend)
+    """Check that each registered driver can be loaded."""
+    for registered in registry.survey():
+        fine = registered.driver is not None
+        mend = "" if fine else f"pip install --force-reinstall {registered.source.partition(' ')[0]}, or remove it"
+        yield HostFinding(
+            f"driver {registered.name}", fine, False, registered.source if fine else registered.error, mend
+        )
 
 
 def can_interfaces(root: Path = Path("/")) -> dict[str, str]:
@@ -85,7 +91,7 @@ def can_interfaces(root: Path = Path("/")) -> dict[str, str]:
 
 
 def is_up(state: str) -> bool:
-    """Return whether a CAN interface in this state passes frames; the state of a virtual one is unknown."""
+    """Return whether a CAN interface in this state passes frames; the state of a virtual interface is `unknown`."""
     return state in ("up", "unknown")
 
 
@@ -95,6 +101,7 @@ def bring_up_command(interface: str, bitrate: int | None = None) -> str:
 
 
 def _can(root: Path, link_of: Callable[[str], Mapping[str, Any]]) -> Iterator[HostFinding]:
+    """Check every CAN interface of the kernel."""
     interfaces = can_interfaces(root)
     if not interfaces:
         yield HostFinding(
@@ -106,35 +113,41 @@ def _can(root: Path, link_of: Callable[[str], Mapping[str, Any]]) -> Iterator[Ho
 
 def _can_link(name: str, state: str, link: Mapping[str, Any]) -> HostFinding:
     """Check a CAN interface: its state, controller, bit rate, restart and queue, according to the kernel."""
-    data = _part(link, "linkinfo", "info_data")
-    controller, bitrate = data.get("state", ""), _part(data, "bittiming").get("bitrate")
-    counters, restart_ms, queue = _part(data, "berr_counter"), data.get("restart_ms"), link.get("txqlen")
-    bus_off_count = _part(link, "linkinfo", "info_xstats").get("bus_off", 0)
+    can_data = _nested(link, "linkinfo", "info_data")
+    controller, bitrate = can_data.get("state", ""), _nested(can_data, "bittiming").get("bitrate")
+    error_counters, restart_ms, queue = (
+        _nested(can_data, "berr_counter"),
+        can_data.get("restart_ms"),
+        link.get("txqlen"),
+    )
+    bus_off_count = _nested(link, "linkinfo", "info_xstats").get("bus_off", 0)
     facts = [
         state,
         f"{bitrate} bit/s" if bitrate else "",
         f"controller {controller}" if controller else "",
-        f"error counters {counters['tx']} sent, {counters['rx']} received" if {"tx", "rx"} <= counters.keys() else "",
+        f"error counters {error_counters['tx']} sent, {error_counters['rx']} received"
+        if {"tx", "rx"} <= error_counters.keys()
+        else "",
         f"has left the bus {bus_off_count} times" if bus_off_count else "",
         f"restart-ms {restart_ms}" if restart_ms is not None else "",
         f"txqueuelen {queue}" if queue is not None else "",
     ]
     fine = is_up(state) and controller not in ("BUS-OFF", "ERROR-PASSIVE")
     if controller == "BUS-OFF":
-        up = f"{bring_up_command(name, bitrate)} restart-ms {RESTART_MS}"
-        mend = f"{CHECK_BUS_HINT}; then: sudo ip link set {name} down && {up}"
+        up_command = f"{bring_up_command(name, bitrate)} restart-ms {RESTART_MS}"
+        mend = f"{CHECK_BUS_HINT}; then: sudo ip link set {name} down && {up_command}"
     elif not is_up(state):
         mend = bring_up_command(name, bitrate)
     elif not fine:
         mend = CHECK_BUS_HINT
-    elif queue is not None and queue < LEAST_QUEUE:
+    elif queue is not None and queue < LEAST_QUEUE_FRAMES:
         mend = f"room for more frames: sudo ip link set {name} txqueuelen 1000"
     else:
         mend = ""
     return HostFinding(f"CAN {name}", fine, False, ", ".join(filter(None, facts)), mend)
 
 
-def _part(link: Mapping[str, Any], *keys: str) -> Mapping[str, Any]:
+def _nested(link: Mapping[str, Any], *keys: str) -> Mapping[str, Any]:
     """Return a nested object of a link by its keys; empty if it is missing or no object."""
     for key in keys:
         value = link.get(key)
@@ -148,6 +161,7 @@ def i2c_buses(root: Path = Path("/")) -> list[Path]:
 
 
 def _i2c(root: Path) -> Iterator[HostFinding]:
+    """Check the permission for every I2C bus of the kernel."""
     buses = i2c_buses(root)
     if not buses:
         mend = "sudo modprobe i2c-dev; on a Raspberry Pi also: sudo raspi-config nonint do_i2c 0"
@@ -156,6 +170,7 @@ def _i2c(root: Path) -> Iterator[HostFinding]:
 
 
 def _serial(root: Path) -> Iterator[HostFinding]:
+    """Check the permission for every serial port on USB."""
     for pattern in ("ttyUSB*", "ttyACM*"):
         yield from (_usable(f"serial {path.name}", path, "dialout") for path in sorted((root / "dev").glob(pattern)))
 
@@ -169,24 +184,26 @@ def ni_daqmx() -> Iterator[HostFinding]:
         return
     try:
         system = System.local()
-        number = system.driver_version
+        driver_version = system.driver_version
         devices = ", ".join(f"{device.name} ({device.product_type})" for device in system.devices) or "no device"
     except Error:
         yield HostFinding("NI-DAQmx", False, False, "NI's driver is not installed", "see ni.com/downloads, NI-DAQmx")
         return
-    description = f"{number.major_version}.{number.minor_version}: {devices}"
+    description = f"{driver_version.major_version}.{driver_version.minor_version}: {devices}"
     yield HostFinding(
         "NI-DAQmx", devices != "no device", False, description, "connect the device" * (devices == "no device")
     )
 
 
 def _usable(subject: str, path: Path, group: str) -> HostFinding:
+    """Check that this user may read and write a device file; `group` is the group that may."""
     fine = os.access(path, os.R_OK | os.W_OK)
     mend = "" if fine else f"sudo usermod -aG {group} $USER, then log in again"
     return HostFinding(subject, fine, False, "readable and writable" if fine else "no permission", mend)
 
 
 def _disk() -> Iterator[HostFinding]:
+    """Check the free space on the disk of the present directory."""
     free = shutil.disk_usage(Path.cwd()).free
     fine = free >= LEAST_FREE_BYTES
     mend = "" if fine else "free space here, or give runs another directory with --out"
@@ -194,6 +211,7 @@ def _disk() -> Iterator[HostFinding]:
 
 
 def _text(path: Path) -> str:
+    """Return the text of a file of the kernel; empty if it cannot be read."""
     try:
         return path.read_text(encoding="ascii").strip()
     except OSError:

@@ -34,7 +34,7 @@ class Provenance:
 
     @property
     def reported(self) -> dict[str, str]:
-        """The facts that the device reports of itself, by name; empty ones are left out."""
+        """The facts that the device reports of itself, by name, without empty ones."""
         return dict(self._identity)
 
     @property

@@ -67,8 +67,8 @@ class RecordDevice:
         if clock is None:
             message = "is missing: wall_within_s, offset_s, estimate or onset ties the record's clock to the run's"
             raise InputError(self._document.fault((*self._location, "settings", "clock"), message))
-        with Run.open(run) as opened:
-            return align_record(record, clock, opened)
+        with Run.open(run) as opened_run:
+            return align_record(record, clock, opened_run)
 
     def attach(self, record: AlignedRecord, run: Path, replace: bool = False) -> None:
         """Store an aligned record in its run, with the settings that it was read with.
@@ -88,8 +88,8 @@ def bench_of_run(run: Path) -> yamlfile.Document:
     ------
     InputError : the run stores no bench file.
     """
-    with Run.open(run) as opened:
-        text = opened.source("bench")
+    with Run.open(run) as opened_run:
+        text = opened_run.source("bench")
     if text is None:
         raise InputError(f"{run}: the run keeps no bench file; give one with --bench")
     return yamlfile.parse(text, f"{run}: bench")
@@ -98,7 +98,7 @@ def bench_of_run(run: Path) -> yamlfile.Document:
 def with_run_folders(devices: Sequence[CheckedDevice], runs: Path, run_id: str = "") -> list[CheckedDevice]:
     """Return the devices, with relative folders of exports changed to folders below the directory of the runs.
 
-    With `run_id`, each run has a folder of its own in them, because emulated runs may execute at the same time.
+    run_id : if given, the name of a further folder below, because emulated runs may execute at the same time.
     """
     relocated = []
     for device in devices:
@@ -124,15 +124,15 @@ def attach_exports(drivers: Mapping[str, Driver], document: yamlfile.Document, r
     failures = []
     for name, source in devices_with_exports(drivers).items():
         try:
-            _attach_fresh(source, RecordDevice(document, name), run)
-        except Exception as fault:  # noqa: BLE001 (a fault of one plug-in must not lose the records of the others)
+            _attach_new_exports(source, RecordDevice(document, name), run)
+        except Exception as error:  # noqa: BLE001 (a fault of one plug-in must not lose the records of the others)
             failures.append(
-                f"{name}: its record is not in the run: {fault}; leactl runs attach {run} FILE --device {name}"
+                f"{name}: its record is not in the run: {error}; leactl runs attach {run} FILE --device {name}"
             )
     return failures
 
 
-def _attach_fresh(source: BatchSource, device: RecordDevice, run: Path) -> None:
+def _attach_new_exports(source: BatchSource, device: RecordDevice, run: Path) -> None:
     """Attach the exports of one device since the bench was opened.
 
     Raises

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from leactl.driver.contract import Driver
 
 LISTEN_S = 1.2  # most devices are shipped with a heartbeat of one second or less
-LONGEST_PROBE_S = 20.0  # of one probe on one bus, or at one rate of a line
-MOST_FRAMES_HZ = 3000  # rate of frames on a bus without a host from which on nothing is sent in addition
+LONGEST_PROBE_S = 20.0  # time limit of one probe on one bus, or at one rate of a line
+MOST_FRAMES_HZ = 3000  # if frames come at this rate without a host, nothing is sent in addition
 LINE_LISTEN_S = 0.1  # time of listening to a line before a probe asks
-MOST_UNASKED_BYTES = 64  # in that time; if more come, no probe asks
+MOST_UNASKED_BYTES = 64  # in LINE_LISTEN_S; if as many come, no probe asks
 MOST_FRAMES, MOST_IDENTIFIERS = 8, 4096  # stored frames of each identifier, and stored identifiers
 SHOWN_BYTES = 24  # first bytes of a line that a note quotes
 BIT_RATE_HINT = "is a device switched on, have all devices and the interface one bit rate, is the bus terminated?"
@@ -73,35 +73,35 @@ class ProbeOverrun(DeviceError):
     """A probe took longer than `LONGEST_PROBE_S`, or sent what a scan refuses."""
 
 
-class _Allowance:
+class _TimeLimit:
     """Time limit of one probe, which a person may end earlier."""
 
     def __init__(self, clock: Clock, watcher: Watcher) -> None:
-        self._clock, self._watcher, self._until = clock, watcher, float("inf")
+        self._clock, self._watcher, self._deadline = clock, watcher, float("inf")
 
     def begin(self) -> None:
         """Begin the time of another probe."""
-        self._until = self._clock.now() + LONGEST_PROBE_S
+        self._deadline = self._clock.now() + LONGEST_PROBE_S
 
     def check(self) -> None:
         """Raise ProbeOverrun if the time is over, or Stopped if a person has ended the scan."""
         self._watcher.check()
-        if self._clock.now() > self._until:
+        if self._clock.now() > self._deadline:
             raise ProbeOverrun(f"takes more than {LONGEST_PROBE_S:g} s")
 
 
 def can_probes() -> dict[str, CanProbe]:
-    """Probes for a CAN bus by the names of their drivers."""
+    """Return the probes for a CAN bus by the names of their drivers."""
     return {name: driver.probe for name, driver in _drivers() if isinstance(driver.probe, CanProbe)}
 
 
 def i2c_probes() -> dict[str, I2cProbe]:
-    """Probes for an I2C bus by the names of their drivers."""
+    """Return the probes for an I2C bus by the names of their drivers."""
     return {name: driver.probe for name, driver in _drivers() if isinstance(driver.probe, I2cProbe)}
 
 
 def line_probes(kind: str) -> dict[str, LineProbe]:
-    """Probes by the names of their drivers for a line of this kind, "serial" or "visa"."""
+    """Return the probes for a line of this kind, "serial" or "visa", by the names of their drivers."""
     return {
         name: driver.probe
         for name, driver in _drivers()
@@ -117,7 +117,7 @@ def _drivers() -> "Iterator[tuple[str, type[Driver]]]":
 def settings_left_open(driver: "type[Driver]", sighting: Sighting) -> list[str]:
     """Return the settings that a bench file must have and that a device's answer does not determine."""
     settings, fields = sighting.settings or {}, driver.Settings.model_fields
-    needed = [name for name, described in fields.items() if described.is_required() or name in sighting.left_open]
+    needed = [name for name, field in fields.items() if field.is_required() or name in sighting.left_open]
     return [name for name in needed if name not in settings]
 
 
@@ -125,7 +125,7 @@ def settings_left_open(driver: "type[Driver]", sighting: Sighting) -> list[str]:
 
 
 class _HeardFrames:
-    """Frames of other participants: the last ones of each identifier."""
+    """Frames of other participants: the latest frames of each identifier."""
 
     def __init__(self) -> None:
         self.begin()
@@ -143,11 +143,11 @@ class _HeardFrames:
 
     @property
     def classic(self) -> bool:
-        """Whether a frame was a classic one."""
+        """Whether any stored frame is a classic frame."""
         return any(not isinstance(frame, FdFrame) for frame in self.frames)
 
     def add(self, message: "can.Message") -> None:
-        """Take a frame."""
+        """Count a frame, and store it unless it is an error frame, a remote frame or an echo of a sent frame."""
         self.count += 1
         if message.is_error_frame:
             self.errors += 1
@@ -167,21 +167,26 @@ class _HeardFrames:
 class _WatchedBus:
     """A connection that stores received frames, and refuses to send identifiers of other protocols' devices."""
 
-    def __init__(self, bus: "can.BusABC", heard: _HeardFrames, allowance: _Allowance) -> None:
-        self._bus, self._heard, self._allowance = bus, heard, allowance
+    def __init__(self, bus: "can.BusABC", heard: _HeardFrames, time_limit: _TimeLimit) -> None:
+        self._bus, self._heard, self._time_limit = bus, heard, time_limit
         self.taken: Collection[int] = ()
 
     def recv(self, timeout: float | None = None) -> "can.Message | None":
         """Receive a frame and store it."""
-        self._allowance.check()
+        self._time_limit.check()
         message = self._bus.recv(timeout)
         if message is not None:
             self._heard.add(message)
         return message
 
     def send(self, message: "can.Message", timeout: float | None = None) -> None:
-        """Send a frame."""
-        self._allowance.check()
+        """Send a frame.
+
+        Raises
+        ------
+        ProbeOverrun : another protocol's device acts on its identifier, or the time of the probe is over.
+        """
+        self._time_limit.check()
         if not message.is_extended_id and message.arbitration_id in self.taken:
             raise ProbeOverrun(f"would send 0x{message.arbitration_id:03X}, on which another device acts")
         kind = FdFrame if message.is_fd else Frame
@@ -189,7 +194,7 @@ class _WatchedBus:
         self._bus.send(message, timeout)
 
     def shutdown(self) -> None:
-        """Let go."""
+        """Close the connection."""
         self._bus.shutdown()
 
 
@@ -201,7 +206,9 @@ def ask_can(
     watcher: Watcher,
     fd: bool = False,
 ) -> None:
-    """Listen to a CAN bus, then ask by each probe, unless another host is at work; `fd`: it carries CAN-FD frames.
+    """Listen to a CAN bus, then ask by each probe, unless another host is at work.
+
+    fd : whether the bus carries CAN-FD frames.
 
     Raises
     ------
@@ -223,14 +230,15 @@ class _CanScan:
         watcher: Watcher,
     ) -> None:
         self._report, self._connect, self._clock, self._probes = report, connect, clock, probes
-        self._show, self._heard, self._allowance = watcher.show, _HeardFrames(), _Allowance(clock, watcher)
+        self._show, self._heard, self._time_limit = watcher.show, _HeardFrames(), _TimeLimit(clock, watcher)
         # the watched bus has the methods of a bus that a port calls
         self._port = CanPort(self._connect_watched, clock, report.name)  # type: ignore[arg-type]
         self._addresses: dict[str, frozenset[int]] = {}  # heard while listening, by driver
         self._known_nodes: dict[str, set[int]] = {}  # heard while listening, or answered, by driver
 
     def _connect_watched(self) -> _WatchedBus:
-        self._bus = _WatchedBus(self._connect(), self._heard, self._allowance)
+        """Connect to the bus, with every frame stored and checked."""
+        self._bus = _WatchedBus(self._connect(), self._heard, self._time_limit)
         return self._bus
 
     def run(self, fd: bool) -> None:
@@ -248,9 +256,9 @@ class _CanScan:
             if reason := self._reason_to_listen():
                 self._only_listen(reason)
                 return
-            for name in sorted(self._probes, key=self._order):
+            for name in sorted(self._probes, key=self._sort_key):
                 if name not in self._exclude_fd_probes(fd):
-                    self._ask(name)
+                    self._ask_by_probe(name)
                 if reason := self._other_host():
                     self._only_listen(reason)
                     return
@@ -263,13 +271,13 @@ class _CanScan:
         finally:
             port.close()
 
-    def _order(self, name: str) -> tuple[bool, bool, str]:
+    def _sort_key(self, name: str) -> tuple[bool, bool, str]:
         """Return the sort key of a probe: those that search first, those that use CAN-FD frames last."""
         probe = self._probes[name]
         return probe.fd, not probe.searches, name
 
     def _reason_to_listen(self) -> str:
-        """Return why nothing may be sent, by the received frames; empty if it may."""
+        """Return why nothing may be sent, according to the received frames; empty if a probe may ask."""
         heard, rate = self._heard, self._heard.count / LISTEN_S
         if heard.errors:
             return f"{heard.errors} error frames came; {BIT_RATE_HINT}"
@@ -288,9 +296,9 @@ class _CanScan:
         """Note why no more is sent, and which devices were heard and not asked."""
         self._report.note(f"only listened{' from then on' if self._report.asked else ''}: {reason}")
         for name, nodes in self._addresses.items():
-            unanswered = nodes - {answer.sighting.address for answer in self._report.answered if answer.driver == name}
-            if unanswered:
-                self._report.note(f"heard, and not asked: {name} at {', '.join(map(str, sorted(unanswered)))}")
+            not_asked = nodes - {answer.sighting.address for answer in self._report.answered if answer.driver == name}
+            if not_asked:
+                self._report.note(f"heard, and not asked: {name} at {', '.join(map(str, sorted(not_asked)))}")
 
     def _exclude_fd_probes(self, fd: bool) -> list[str]:
         """Return the drivers whose probes may not be used on this bus, and note them in the report."""
@@ -304,7 +312,8 @@ class _CanScan:
             self._report.note(f"{name} was not asked: its CAN-FD frames are {reason}")
         return unsuited
 
-    def _ask(self, name: str) -> None:
+    def _ask_by_probe(self, name: str) -> None:
+        """Ask by the probe of a driver, and add the devices that answer to the report."""
         self._show(f"{name} asks")
         self._report.asked = True
         self._bus.taken = frozenset(
@@ -315,20 +324,20 @@ class _CanScan:
             for identifier in self._probes[driver].identifiers(node)
         )
         ask = partial(self._probes[name].ask, self._port, self._addresses[name], self._bus.taken)
-        for sighting in _sightings(self._report, name, ask, self._allowance):
+        for sighting in _sightings(self._report, name, ask, self._time_limit):
             self._report.answered.append(Answered(name, sighting))
             if sighting.address is not None:
                 self._known_nodes[name].add(sighting.address)
 
 
-def _sightings(report: WireReport, name: str, ask: Callable[[], Seen], allowance: _Allowance) -> Iterator[Sighting]:
+def _sightings(report: WireReport, name: str, ask: Callable[[], Seen], time_limit: _TimeLimit) -> Iterator[Sighting]:
     """Yield the devices that a probe recognises; texts of the probe, and its failure, become notes.
 
     Raises
     ------
     DeviceError : the wire failed.
     """
-    allowance.begin()
+    time_limit.begin()
     try:
         for number, seen in enumerate(ask()):
             if number >= MOST_ANSWERS:
@@ -353,20 +362,20 @@ def _sightings(report: WireReport, name: str, ask: Callable[[], Seen], allowance
 class _ReadOnlyBus:
     """A connection that refuses to write."""
 
-    def __init__(self, bus: SmBus, allowance: _Allowance) -> None:
-        self._bus, self._allowance = bus, allowance
+    def __init__(self, bus: SmBus, time_limit: _TimeLimit) -> None:
+        self._bus, self._time_limit = bus, time_limit
 
     def read_word_data(self, i2c_addr: int, register: int) -> int:
         """Read a word."""
-        self._allowance.check()
+        self._time_limit.check()
         return self._bus.read_word_data(i2c_addr, register)
 
     def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
-        """Refuse."""
+        """Raise ProbeOverrun: a probe only reads."""
         raise ProbeOverrun(f"would write to address 0x{i2c_addr:02X}")
 
     def close(self) -> None:
-        """Let go."""
+        """Close the connection."""
         self._bus.close()
 
 
@@ -380,14 +389,14 @@ def ask_i2c(
     DeviceError : the bus is absent or fails; earlier answers remain in the report.
     Stopped : by the watcher.
     """
-    allowance = _Allowance(clock, watcher)
-    port = I2cPort(lambda: _ReadOnlyBus(connect(), allowance), report.name)
+    time_limit = _TimeLimit(clock, watcher)
+    port = I2cPort(lambda: _ReadOnlyBus(connect(), time_limit), report.name)
     port.open()
     try:
         for name, probe in sorted(probes.items()):
             watcher.show(f"{name} asks")
             report.asked = True
-            for sighting in _sightings(report, name, partial(probe.ask, port), allowance):
+            for sighting in _sightings(report, name, partial(probe.ask, port), time_limit):
                 report.answered.append(Answered(name, sighting))
     finally:
         port.close()
@@ -399,20 +408,20 @@ def ask_i2c(
 class _WatchedLine:
     """A connection that several ports use in turn; it stores the first bytes received."""
 
-    def __init__(self, line: SerialLine, allowance: _Allowance) -> None:
-        self._line, self._allowance = line, allowance
+    def __init__(self, line: SerialLine, time_limit: _TimeLimit) -> None:
+        self._line, self._time_limit = line, time_limit
         self.heard = b""  # the first bytes received
 
     def read(self, timeout: float) -> bytes:
-        """Take what has arrived."""
-        self._allowance.check()
-        read = self._line.read(timeout)
-        self.heard = (self.heard + read)[:SHOWN_BYTES]
-        return read
+        """Return bytes that have arrived, waiting at most `timeout` [s] for the first byte."""
+        self._time_limit.check()
+        received = self._line.read(timeout)
+        self.heard = (self.heard + received)[:SHOWN_BYTES]
+        return received
 
     def write(self, data: bytes) -> int:
-        """Send."""
-        self._allowance.check()
+        """Write as many bytes as are accepted at once; return their number."""
+        self._time_limit.check()
         return self._line.write(data)
 
     def close(self) -> None:
@@ -429,7 +438,7 @@ def ask_line(
 ) -> None:
     """Ask one device by each probe, over one line after another (rates, or ports), until a probe recognises it.
 
-    A probe that fails at one of them keeps none of the others from being asked.
+    A probe that fails at one rate or port is asked again at the others.
 
     Raises
     ------
@@ -437,13 +446,13 @@ def ask_line(
     Stopped : by the watcher.
     """
     first_bytes: dict[str, bytes] = {}  # by rate or port
-    refused: list[str] = []
+    refusals: list[str] = []
     for line in lines:
         watcher.show(f"asks at {rate_or_port(line)}")
         try:
             connection = connect(line)
         except (OSError, ValueError, ImportError) as error:
-            refused.append(str(error))
+            refusals.append(str(error))
             if isinstance(line, SerialBus):  # the port will not be there at another rate either
                 break
             continue
@@ -456,7 +465,7 @@ def ask_line(
         if report.answered or report.heard:
             return
     if not first_bytes:
-        raise DeviceError("; ".join(refused))
+        raise DeviceError("; ".join(refusals))
     for rate, data in first_bytes.items():
         if data:
             report.note(f"something answers at {rate} what no driver can read: {data!r}")
@@ -479,27 +488,29 @@ def _ask_connection(
     watcher: Watcher,
 ) -> bytes:
     """Ask by each probe over one connection; return the first bytes received."""
-    allowance = _Allowance(clock, watcher)
-    watched = _WatchedLine(connection, allowance)
-    unasked, until = 0, clock.now() + LINE_LISTEN_S
-    while (seconds_left := until - clock.now()) > 0.0 and unasked < MOST_UNASKED_BYTES:
-        unasked += len(watched.read(seconds_left))
-    if unasked >= MOST_UNASKED_BYTES:
+    time_limit = _TimeLimit(clock, watcher)
+    watched_line = _WatchedLine(connection, time_limit)
+    unasked_bytes, listen_end = 0, clock.now() + LINE_LISTEN_S
+    while (seconds_left := listen_end - clock.now()) > 0.0 and unasked_bytes < MOST_UNASKED_BYTES:
+        unasked_bytes += len(watched_line.read(seconds_left))
+    if unasked_bytes >= MOST_UNASKED_BYTES:
         report.heard = True
-        report.note(f"only listened: bytes come without a question at {rate_or_port(line)}, such as {watched.heard!r}")
-        return watched.heard
+        report.note(
+            f"only listened: bytes come without a question at {rate_or_port(line)}, such as {watched_line.heard!r}"
+        )
+        return watched_line.heard
     for name, probe in sorted(probes.items()):
         if isinstance(line, SerialBus) and line.baudrate not in probe.baudrates:
             continue
         report.asked = True
-        port = SerialPort(lambda: watched, clock, report.name)
+        port = SerialPort(lambda: watched_line, clock, report.name)
         port.open()
-        for sighting in _sightings(report, name, partial(probe.ask, port), allowance):
+        for sighting in _sightings(report, name, partial(probe.ask, port), time_limit):
             report.answered.append(Answered(name, sighting, line))
         port.close()
         if report.answered:
             break
-    return watched.heard
+    return watched_line.heard
 
 
 def rates_of(probes: Iterable[LineProbe]) -> list[int]:

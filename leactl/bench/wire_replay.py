@@ -43,7 +43,7 @@ class Difference(NamedTuple):
     line: int  # number of the line in the file
     owner: str  # bus or device
     stands: str  # text of the line in the trace
-    came: str  # what happened instead in the replay
+    came: str  # what happened in the replay in its place
 
     def __str__(self) -> str:
         return f"{self.owner}: {self.came} where the trace has {self.stands}"
@@ -82,15 +82,15 @@ class ReplayClock:
         self._time = moment
 
     def sleep_until(self, moment: float) -> None:
-        """Advance to a moment [s]; an earlier one changes nothing."""
+        """Advance to a moment [s]; a moment in the past changes nothing."""
         self._time = max(self._time, moment)
 
 
 class Wire:
-    """One bus in the trace, with its position among the lines of the bus."""
+    """One bus in the trace, with the position of the replay among the lines of the bus."""
 
     def __init__(self, name: str, lines: Sequence[TraceLine], replay: "ReplayWiring") -> None:
-        self.name, self._lines, self._replay, self._next = name, lines, replay, 0
+        self.name, self._lines, self._replay, self._next_index = name, lines, replay, 0
 
     def now(self) -> float:
         """Return the time of the trace [s]."""
@@ -105,22 +105,22 @@ class Wire:
         """
         line = self._line_of_call()
         if line is not None and line.kind == FAILED and line.text.startswith(CONNECT):
-            self._take()
+            self._take_line()
             raise OSError(line.text.removeprefix(CONNECT))
 
     def send(self, text: str) -> str:
-        """Compare sent bytes with the next line of the trace; return those that the line accepted then, in hex.
+        """Compare sent bytes with the next line of the trace; return the bytes that the line accepted then, in hex.
 
         Parameters
         ----------
-        text : the bytes in hex, or a CAN frame as of `frame_text`.
+        text : the bytes in hex, or a CAN frame as text (`frame_text`).
 
         Raises
         ------
         Diverged : the trace has another line.
         OSError : sending failed in the trace.
         """
-        line = self._take()
+        line = self._take_line()
         if line is None:
             return text  # the trace was cut short
         if line.kind == FAILED:
@@ -132,7 +132,7 @@ class Wire:
         return accepted
 
     def hear(self, timeout: float) -> str | None:
-        """Return the next input within the present call; without one, wait for `timeout` [s] and return None.
+        """Return the next input within the present call; if it has none, wait for `timeout` [s] and return None.
 
         The wait advances the clock of the trace.
 
@@ -145,13 +145,13 @@ class Wire:
         if line is None or line.kind == SENT:
             clock.sleep_until(clock.now() + timeout)
             return None
-        self._take()
+        self._take_line()
         if line.kind == FAILED:
             raise OSError(line.text)
         return line.text
 
     def transfer(self, kind: str, text: str) -> str:
-        """Make a transfer on a bus that answers at once; return the text of the next line of the trace.
+        """Make a transfer on a bus that answers at once; return the text of its line in the trace.
 
         Parameters
         ----------
@@ -163,7 +163,7 @@ class Wire:
         Diverged : the next line has another kind or beginning.
         OSError : the transfer failed in the trace, with the same errno.
         """
-        line = self._take()
+        line = self._take_line()
         if line is None:
             raise OSError(errno.ENODEV, "the trace ends here")
         if line.text.startswith(text) and line.kind == FAILED:
@@ -175,15 +175,15 @@ class Wire:
 
     def _line_of_call(self) -> TraceLine | None:
         """Return the next line of the bus, or None if it does not belong to the present call."""
-        line = self._lines[self._next] if self._next < len(self._lines) else None
+        line = self._lines[self._next_index] if self._next_index < len(self._lines) else None
         return line if line is not None and line.number <= self._replay.call_ends else None
 
-    def _take(self) -> TraceLine | None:
+    def _take_line(self) -> TraceLine | None:
         """Return the next line of the bus and advance past it; None at the end of the trace."""
-        if self._next >= len(self._lines):
+        if self._next_index >= len(self._lines):
             return None
-        line = self._lines[self._next]
-        self._next += 1
+        line = self._lines[self._next_index]
+        self._next_index += 1
         self._replay.transfers += 1
         self._replay.clock.sleep_until(line.time)
         return line
@@ -296,7 +296,7 @@ class _I2cSide:
 def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> ReplayResult:
     """Repeat the calls of a trace on the drivers of its bench; devices without a bus are left out.
 
-    Each run of the trace has new drivers; an `open` after a `close` begins the next run.
+    Each run of the trace gets new drivers; an `open` after a `close` begins the next run.
 
     Raises
     ------
@@ -304,26 +304,26 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
         log.
     """
     lines = read_trace(path)
-    wired = [device for device in devices if device.entry.bus]
-    buses = sorted({device.entry.bus or "" for device in wired})
+    bus_devices = [device for device in devices if device.entry.bus]
+    buses = sorted({device.entry.bus or "" for device in bus_devices})
     expect_can_frames(path, lines, [name for name in buses if isinstance(file.buses[name], CanBus)])
-    left_out = {device.name for device in devices} - {device.name for device in wired}
+    left_out = {device.name for device in devices} - {device.name for device in bus_devices}
     expect_calls(path, lines, left_out)
     wiring = ReplayWiring(lines, buses)
-    bench = Bench(file, wired, wiring)
-    ends = _ends_of(lines)
+    bench = Bench(file, bus_devices, wiring)
+    end_lines = _end_lines(lines)
     calls, raised, cut_short, is_closed = 0, list[str](), False, False
     for line in lines:
         if line.kind != CALLED or line.owner in left_out:
             continue
         method = line.text.partition(" ")[0]
         if method == "open" and is_closed:
-            bench, is_closed = Bench(file, wired, wiring), False
+            bench, is_closed = Bench(file, bus_devices, wiring), False
         is_closed = is_closed or method == "close"
-        call = _call_of(path, line, bench)
-        end = ends.get(line.number)
-        wiring.call_ends = end.number if end else lines[-1].number
-        cut_short = cut_short or end is None
+        call = _call_in_line(path, line, bench)
+        end_line = end_lines.get(line.number)
+        wiring.call_ends = end_line.number if end_line else lines[-1].number
+        cut_short = cut_short or end_line is None
         wiring.clock.set(line.time)
         try:
             outcome = outcome_text(call())
@@ -332,26 +332,28 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
         except Exception as error:  # noqa: BLE001 (whatever a driver raises is what is compared)
             outcome = outcome_text(None, error)
             raised.append(f"{type(error).__name__}: {error}")
-        if end is not None and differs_from_trace(outcome, end.text):
-            difference = Difference(end.number, line.owner, f"'{end.text}'", f"{method} ended with '{outcome}'")
+        if end_line is not None and differs_from_trace(outcome, end_line.text):
+            difference = Difference(
+                end_line.number, line.owner, f"'{end_line.text}'", f"{method} ended with '{outcome}'"
+            )
             return ReplayResult(calls, wiring.transfers, difference, tuple(dict.fromkeys(raised)), cut_short)
         calls += 1
     return ReplayResult(calls, wiring.transfers, None, tuple(dict.fromkeys(raised)), cut_short)
 
 
-def _ends_of(lines: Sequence[TraceLine]) -> dict[int, TraceLine]:
+def _end_lines(lines: Sequence[TraceLine]) -> dict[int, TraceLine]:
     """Return the line at which each call ended, by the number of the line at which it began."""
     open_calls: dict[str, int] = {}
-    ends = {}
+    end_lines = {}
     for line in lines:
         if line.kind == CALLED:
             open_calls[line.owner] = line.number
         elif line.kind == ENDED and line.owner in open_calls:
-            ends[open_calls.pop(line.owner)] = line
-    return ends
+            end_lines[open_calls.pop(line.owner)] = line
+    return end_lines
 
 
-def _call_of(path: Path, line: TraceLine, bench: Bench) -> Callable[[], Any]:
+def _call_in_line(path: Path, line: TraceLine, bench: Bench) -> Callable[[], Any]:
     """Return the call that a line describes, as a function without arguments.
 
     Raises

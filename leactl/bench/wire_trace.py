@@ -121,7 +121,7 @@ class WireTrace:
             path.unlink(missing_ok=True)
 
     def follow(self, now: Callable[[], float]) -> None:
-        """Use this clock from now on; an emulated bench has a new clock for each run, which begins at 0."""
+        """Use this clock [s] from now on; an emulated bench has a new clock for each run, which begins at 0."""
         if now() < self.now():
             self._clock_offset += self.now()
         self.now, self._flushed = now, -math.inf
@@ -163,10 +163,14 @@ class WireTrace:
         if self._can_log is None:
             self.write(owner, kind, frame_text(message))
             return
-        stamped = copy.copy(message)
+        stamped_message = copy.copy(message)
         # python-can 4.6 gives a frame in a .blf the time of the first one if its own time is earlier
-        stamped.timestamp, stamped.channel, stamped.is_rx = self._clock_offset + self.now(), owner, kind == HEARD
-        self._can_log(stamped)
+        stamped_message.timestamp, stamped_message.channel, stamped_message.is_rx = (
+            self._clock_offset + self.now(),
+            owner,
+            kind == HEARD,
+        )
+        self._can_log(stamped_message)
 
     def trace_calls(self, owner: str, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         """Return a function that also adds a line when it begins and when it ends.
@@ -232,9 +236,9 @@ def _reproducible(item: Any) -> Any:
 
 
 def differs_from_trace(outcome: str, recorded: str) -> bool:
-    """Return whether the outcome of a call differs from that in a trace.
+    """Return whether the outcome of a call differs from the outcome in a trace.
 
-    Older traces have null for rows, notices and tares; only an error differs from that.
+    Older traces have null for rows, notices and tares; only an error differs from null.
     """
     return outcome != recorded and (recorded != "null" or "raised" in json.loads(outcome))
 
@@ -294,16 +298,16 @@ class TracedLine:
     def read(self, timeout: float) -> bytes:
         """Return bytes that have arrived."""
         try:
-            read = self._line.read(timeout)
+            received = self._line.read(timeout)
         except OSError as error:
             self._trace.write_failure(self._name, error)
             raise
-        if read:
-            self._trace.write(self._name, HEARD, read.hex())
-        return read
+        if received:
+            self._trace.write(self._name, HEARD, received.hex())
+        return received
 
     def write(self, data: bytes) -> int:
-        """Write bytes, and mark in the trace those that were not accepted; return the number of those that were."""
+        """Write bytes, and mark in the trace the bytes that were not accepted; return the number of accepted bytes."""
         try:
             accepted = self._line.write(data)
         except OSError as error:

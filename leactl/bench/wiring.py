@@ -1,4 +1,4 @@
-"""Connect to the buses of this machine and its clock, by an interface that an emulated bench has too."""
+"""Connect to the buses and the clock of this machine, by an interface that emulated benches share."""
 
 import logging
 from collections.abc import Callable, Iterable
@@ -21,14 +21,14 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 def unknown_interface(bus: CanBus) -> str:
-    """Return a line if python-can does not have the interface of a bus; else an empty text."""
+    """Return a line on the interface of a bus that python-can does not have; else an empty text."""
     import can
 
-    known = sorted(can.VALID_INTERFACES)
-    if bus.interface in known:
+    interfaces = sorted(can.VALID_INTERFACES)
+    if bus.interface in interfaces:
         return ""
-    similar = get_close_matches(bus.interface, known, n=1)
-    expected = similar[0] if similar else f"one of {', '.join(known)}"
+    similar = get_close_matches(bus.interface, interfaces, n=1)
+    expected = similar[0] if similar else f"one of {', '.join(interfaces)}"
     return f"python-can has no interface '{bus.interface}'; {expected} was expected"
 
 

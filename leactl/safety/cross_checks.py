@@ -24,9 +24,8 @@ class _StillChannel:
         self.shaft_angle, self.lowest_angle, self.highest_angle = 0.0, 0.0, 0.0
         self.shaft_updated_at = -math.inf
         self.compared_at, self.next_comparison = -math.inf, -math.inf  # with the other channels
-        self.nan_since = (
-            math.nan
-        )  # s, since when this channel has been NaN while a comparison was due; NaN if it is not
+        # s, since when this channel has been NaN while a comparison was due; NaN if it is not
+        self.nan_since = math.nan
         self.reference_values: list[list[float]] = []  # for each panel, the first number of each channel in the stretch
         self.others_unchanged = True  # in the stretch so far
         role = watch.channel.role

@@ -247,9 +247,8 @@ class Demand:
         is_resting = (
             velocities == 0.0 if mode is Mode.VELOCITY else np.full(len(setpoints), profile.low == profile.high)
         )
-        held_torque = self.held.get(
-            held_index, HeldTorque(-most_friction, most_friction, 0.0)
-        )  # a drive engages with zero current
+        # a drive engages with zero current
+        held_torque = self.held.get(held_index, HeldTorque(-most_friction, most_friction, 0.0))
         if mode is Mode.ANGLE and held_torque.setpoint != setpoints[0]:
             held_torque = HeldTorque(-math.inf, math.inf, setpoints[0])
         torques = np.empty(len(setpoints))

@@ -105,10 +105,8 @@ class ThermalGuard:
         self.rotors = [Rotor(motor, settings.most_speed, acceleration) for motor in motors.values()]
         # how many numbers of each log are counted, and the heat in them and through leads since the last step [A^2 s]
         self._counted, self._squares = [0] * len(boxes), [0.0] * len(boxes)
-        self._lead_heat, self._lead_moments = (
-            [0.0] * len(boxes),
-            [0.0] * len(boxes),
-        )  # heat through leads [A^2 s], [A^2 s^2]
+        # heat through leads since the last step [A^2 s], and its moments about the beginning of the step [A^2 s^2]
+        self._lead_heat, self._lead_moments = [0.0] * len(boxes), [0.0] * len(boxes)
         self._longest_gap = 0.0  # s, between two looks since the last step
         self._speeds = [0.0] * len(boxes)  # rad/s, the highest in the last step
         self._heat_budgets = Budgets(boxes, settings)

@@ -114,9 +114,8 @@ def trip_level(
         resistance * current / box.current_gain, voltage * (1.0 - VOLTAGE_ERROR_SHARE) - VOLTAGE_ERROR_V
     )
     level = accuracy.level_below(highest_level)
-    initial_voltage = (
-        0.5 * LEADS * (reference_resistance.low + reference_resistance.high) * current
-    )  # a level below this would end the current at once
+    # a level below this voltage would end the current at once
+    initial_voltage = 0.5 * LEADS * (reference_resistance.low + reference_resistance.high) * current
     return level if level > initial_voltage else None
 
 

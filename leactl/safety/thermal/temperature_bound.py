@@ -85,9 +85,8 @@ class ThermalBound:
         self._resistance, self._reference_temperature = high("phase_resistance"), single("reference_temperature")
         self._coefficient = high("resistance_coefficient")
         self._coefficient_range = self._coefficient - low("resistance_coefficient")
-        self._resistance_factor_at_zero = (
-            1.0 - self._coefficient * self._reference_temperature
-        )  # resistance at 0 degC over that at the reference temperature
+        # resistance at 0 degC over the resistance at the reference temperature
+        self._resistance_factor_at_zero = 1.0 - self._coefficient * self._reference_temperature
         self._friction = high("coulomb_friction"), high("viscous_damping")
         self._gain_squared, self._ambient_rise = single("current_gain") ** 2, np.stack([single("ambient_rise")] * 3)
         self._decay = self._capacitance[0][MEAN] / (self._to_housing[1][MEAN] + self._to_air[1][MEAN])
@@ -128,9 +127,8 @@ class ThermalBound:
         lane_delay = duration / pieces if delay is None else delay
         if isinstance(lane_delay, np.ndarray):
             lane_delay = lane_delay[self._actuator_of_lane]
-        lane_square = lane_square * (
-            1.0 + lane_delay / self._decay
-        )  # of heat that comes late, less has left by the end of the step
+        # of heat that comes late, less has left by the end of the step
+        lane_square = lane_square * (1.0 + lane_delay / self._decay)
         for _ in range(pieces):
             self._advance(duration / pieces, lane_square, share, friction, air)
 
