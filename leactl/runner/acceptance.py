@@ -54,8 +54,8 @@ def _misfit(limit: Acceptance, experiment: str, results: Mapping[str, str]) -> t
     """Return the key of a limit that does not fit the experiment's results, and why; None if it fits."""
     units = results.get(limit.result)
     if units is None:
-        close = get_close_matches(limit.result, results, n=1)
-        expected = close[0] if close else f"one of {', '.join(results)}"
+        close_matches = get_close_matches(limit.result, results, n=1)
+        expected = close_matches[0] if close_matches else f"one of {', '.join(results)}"
         return "result", f"{experiment} has no result '{limit.result}'; {expected} was expected"
     if _factor(units, limit.unit) is None:
         return "unit", f"{limit.unit!r}: {limit.result} is in {units}"
@@ -84,8 +84,8 @@ def judge(plan: Plan, run: Path) -> tuple[list[dict[str, Any]], list[str]]:
     limits = [limit for limit in plan.acceptance if isinstance(limit, Acceptance)]
     unmet = []
     if len(limits) < len(plan.acceptance):
-        with Run.open(run) as opened:
-            events = [event for event in opened.events if (event.source, event.level) == (ACCEPTANCE, "warning")]
+        with Run.open(run) as opened_run:
+            events = [event for event in opened_run.events if (event.source, event.level) == (ACCEPTANCE, "warning")]
         unmet = [f"acceptance: {event.message}" for event in events]
     if not limits:
         return [], unmet

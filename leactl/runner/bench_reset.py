@@ -38,8 +38,8 @@ def held_by(word: str, bench: str) -> Held:
         return _what_holds(word, bench)
 
 
-def release(word: str, bench: str, shown: Held) -> None:
-    """Release a bench from the latches and lost runs in `shown`, or from nothing if these have changed.
+def release(word: str, bench: str, listed: Held) -> None:
+    """Release a bench from the latches and lost runs in `listed`, or from nothing if these have changed.
 
     Raises
     ------
@@ -49,11 +49,11 @@ def release(word: str, bench: str, shown: Held) -> None:
         bench stays held.
     """
     with locks.idle(bench):
-        if _what_holds(word, bench) != shown:
+        if _what_holds(word, bench) != listed:
             raise SafetyTrip(f"what holds bench '{bench}' has changed meanwhile; nothing was released")
-        for run in shown.unlatched:
+        for run in listed.unlatched:
             runs_underway.forget(run.lost)
-        for held_latch in shown.latches:
+        for held_latch in listed.latches:
             held_latch.release()
 
 

@@ -93,20 +93,20 @@ class _WatchedLimit:
         limit = self.limit
         values = [window.statistic(limit.statistic) for window in self.windows]
         known_values = [value for value in values if math.isfinite(value)]
-        worst = max(known_values, key=lambda value: max(limit.low - value, value - limit.high), default=math.nan)
-        is_met = bool(known_values) and len(known_values) == len(values) and limit.low <= worst <= limit.high
+        worst_value = max(known_values, key=lambda value: max(limit.low - value, value - limit.high), default=math.nan)
+        is_met = bool(known_values) and len(known_values) == len(values) and limit.low <= worst_value <= limit.high
         row = {
             "channel": limit.channel,
             "role": limit.role,
             "step": limit.step,
             "statistic": limit.statistic,
-            "value": worst if math.isfinite(worst) else None,
+            "value": worst_value if math.isfinite(worst_value) else None,
             "units": limit.unit,
             "met": is_met,
         }
         row |= {"location": self.location} if self.location else {}
         if known_values and len(known_values) == len(values):
-            summary = f"{self.subject} is {worst:.6g} {limit.unit}"
+            summary = f"{self.subject} is {worst_value:.6g} {limit.unit}"
         else:
             summary = (
                 f"{self.subject} is not known, nothing was read in {len(values) - len(known_values)} of"

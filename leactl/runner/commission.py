@@ -225,8 +225,8 @@ def _narrowed_motor(whole_request: Request, shipped: Motor, paths: Sequence[Path
     InputError : a run of another actuator or bench, or one that is given twice or was altered.
     AcceptanceFailed : the actuator is outside of the tolerances of its file.
     """
-    with ExitStack() as opened:
-        runs = [opened.enter_context(Run.open(path)) for path in paths]
+    with ExitStack() as open_runs:
+        runs = [open_runs.enter_context(Run.open(path)) for path in paths]
         _refuse_foreign_runs(runs, whole_request)
         refuse_repeated(runs)
         refuse_altered(runs)
@@ -264,9 +264,12 @@ def _measured_heating_s(path: Path) -> float:
 def _known_bounds(whole_request: Request, file: Path) -> Mapping[str, Recalled]:
     """Return the lower bounds that the memory has by the bench's own motor file and by an earlier narrowed file."""
     requests = [whole_request, *([_with_motor_file(whole_request, file)] if file.exists() else [])]
-    recalled = [Windings(known.bench, known.devices, known.actuator, known.in_process).recalled for known in requests]
+    recalled = [
+        Windings(request.bench, request.devices, request.actuator, request.in_process).recalled for request in requests
+    ]
     return {
-        role: min((known[role] for known in recalled), key=lambda known: float(known.nodes[0])) for role in recalled[0]
+        role: min((by_role[role] for by_role in recalled), key=lambda bounds: float(bounds.nodes[0]))
+        for role in recalled[0]
     }
 
 

@@ -50,9 +50,9 @@ def preview(request: Request) -> Preview:
     check(request)
     request.latch.refuse()
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, cold=True)
-    ready = admit(request, windings)
-    plan = ready.request.plan
-    return Preview(plan, windings.forecast(plan), room_needed(request, ready.bench))
+    admitted = admit(request, windings)
+    plan = admitted.request.plan
+    return Preview(plan, windings.forecast(plan), room_needed(request, admitted.bench))
 
 
 def streams_of(request: Request) -> Mapping[str, tuple[ChannelSpec, ...]]:
@@ -113,11 +113,10 @@ def dry_run(request: Request) -> DryRun:
     with locks_of(request):
         refuse_latched(request)
     windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
-    ready = admit(request, windings)
-    plan, bench = ready.request.plan, ready.bench
+    admitted = admit(request, windings)
+    plan, bench = admitted.request.plan, admitted.bench
     warnings = [f"{name}: {text}" for name, text in overdue(request.devices).items()]
     if fault := state_folder.folder_of(request.bench, request.in_process).fault:
         warnings.append(f"{fault}; see: leactl doctor")
-    planned, forecast = room_needed(request, bench), windings.forecast(plan)
-    one_sensor_texts = windings_without_second_sensor(plan, bench)
-    return DryRun(plan, planned, windings, forecast, ready.stays_on, warnings, one_sensor_texts)
+    planned_size, forecast = room_needed(request, bench), windings.forecast(plan)
+    return DryRun(plan, planned_size, windings, forecast, admitted.stays_on, warnings, windings_without_second_sensor(plan, bench))

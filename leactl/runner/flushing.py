@@ -54,16 +54,16 @@ class SparseWriter(RunWriter):
 
     def append(self, stream: str, times: np.ndarray[Any, Any], block: np.ndarray[Any, Any]) -> None:
         """Add the rows that are due, of `times` [s], shape (n,), and `block`, shape (n, channels)."""
-        due = [index for index, time in enumerate(times.tolist()) if self._is_due(stream, time)]
-        if due:
-            super().append(stream, times[due], block[due])
+        due_rows = [index for index, time in enumerate(times.tolist()) if self._is_due(stream, time)]
+        if due_rows:
+            super().append(stream, times[due_rows], block[due_rows])
 
     def _is_due(self, stream: str, time: float) -> bool:
         """Return whether a row of this time [s] is to be written, and set when the stream's next row is due."""
-        due = self._due.setdefault(stream, time)
-        if time < due:
+        due_time = self._due.setdefault(stream, time)
+        if time < due_time:
             return False
-        self._due[stream] = due + self._interval_s * (math.floor((time - due) / self._interval_s) + 1)
+        self._due[stream] = due_time + self._interval_s * (math.floor((time - due_time) / self._interval_s) + 1)
         return True
 
 

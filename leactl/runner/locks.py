@@ -106,12 +106,12 @@ def _served_lock_name(bench: str, folder: state_folder.StateFolder) -> str:
 
 
 @contextmanager
-def alone(key: str, taken: str) -> Iterator[int]:
+def alone(key: str, taken_message: str) -> Iterator[int]:
     """Hold the lock of a name on this machine until the block is left, and yield its descriptor.
 
     Parameters
     ----------
-    taken : beginning of the message that another process holds the lock.
+    taken_message : beginning of the message that another process holds the lock.
 
     Raises
     ------
@@ -124,7 +124,9 @@ def alone(key: str, taken: str) -> Iterator[int]:
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
                 raise DeviceError(f"{key}: cannot be held: {error.strerror}") from None
-            raise DeviceError(f"{taken}, {_holder_text(name)}; wait for its end, or: leactl bench stop") from None
+            raise DeviceError(
+                f"{taken_message}, {_holder_text(name)}; wait for its end, or: leactl bench stop"
+            ) from None
         lock.listen(HOLDER_QUEUE_LENGTH)
         yield lock.fileno()
 
@@ -146,12 +148,12 @@ def _holder_text(name: bytes) -> str:
 
 
 @contextmanager
-def locked(path: Path, taken: str) -> Iterator[int]:
+def locked(path: Path, taken_message: str) -> Iterator[int]:
     """Hold a lock file until the block is left, and yield its descriptor.
 
     Parameters
     ----------
-    taken : beginning of the message that another process holds the lock.
+    taken_message : beginning of the message that another process holds the lock.
 
     Raises
     ------
@@ -171,7 +173,7 @@ def locked(path: Path, taken: str) -> Iterator[int]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             holder = os.read(descriptor, 20).decode("ascii", "replace").strip() or "unknown"
-            raise DeviceError(f"{taken}, process {holder}; wait for its end, or: leactl bench stop") from None
+            raise DeviceError(f"{taken_message}, process {holder}; wait for its end, or: leactl bench stop") from None
         os.ftruncate(descriptor, 0)
         os.write(descriptor, f"{os.getpid()}\n".encode())
         yield descriptor

@@ -186,12 +186,12 @@ class Loop:
         """Run one cycle: exchange, record, judge, send the heartbeat, and wait for the start of the next cycle."""
         self._stop.check()
         bench, supervisor, writer, clock, start = self._bench, self._supervisor, self._writer, self._clock, self._start
-        began = self._next_start
-        row = self._row = bench.exchange(began + self._answer_s)
+        cycle_start = self._next_start
+        row = self._row = bench.exchange(cycle_start + self._answer_s)
         if self._cycles_until_row == 0:
             self._cycles_until_row = self._cycles_per_row
             if row:
-                writer.append_row("loop", began - start, row)
+                writer.append_row("loop", cycle_start - start, row)
         self._cycles_until_row -= 1  # never reaches 0 if nothing is recorded
         readings = bench.take()
         for reading in readings:
@@ -205,7 +205,7 @@ class Loop:
         supervisor.check(clock.now())
         bench.feed()
         if self._limits.any:
-            self._judge(began, row, readings)
+            self._judge(cycle_start, row, readings)
         self._flush.after_cycle()
         self.cycles += 1
         self._sign[CYCLES] += 1
@@ -213,14 +213,14 @@ class Loop:
             supervisor.free_space(self._flush.free_bytes)
             self._pass_on_notices()
             self._see_watchdog()
-        self._progress.values, self._progress.time_s = row, began - start
+        self._progress.values, self._progress.time_s = row, cycle_start - start
         period, now = self._period, clock.now()
-        due = began + period
-        if now > due + period:  # a cycle is lost: continue from now, and never catch up by two cycles in a row
-            self._note_overrun(now - due)
-            due = now
-        clock.sleep_until(due)
-        self._next_start = due
+        cycle_end = cycle_start + period
+        if now > cycle_end + period:  # a cycle is lost: continue from now, and never catch up by two cycles in a row
+            self._note_overrun(now - cycle_end)
+            cycle_end = now
+        clock.sleep_until(cycle_end)
+        self._next_start = cycle_end
 
     def _see_standstill(self, silence_s: float) -> None:
         """Trip if the loop stood still for longer [s] than is allowed, unless a trip is latched already."""
@@ -262,24 +262,25 @@ class Loop:
         """Record an event of now."""
         self._writer.event(self._clock.now() - self._start, level, source, message)
 
-    def _judge(self, began: float, row: Sequence[float], readings: Sequence[SampleBlock | Row]) -> None:
+    def _judge(self, cycle_start: float, row: Sequence[float], readings: Sequence[SampleBlock | Row]) -> None:
         """Compare the limits on channels with the row of a cycle and the samples of other streams."""
         if row:
-            self._limits.receive("loop", began - self._start, row, self._note_limit)
+            self._limits.receive("loop", cycle_start - self._start, row, self._note_limit)
         for reading in readings:
             if self._limits.watches(reading.stream):
                 for sample in reading.rows() if isinstance(reading, SampleBlock) else (reading,):
                     self._limits.receive(sample.stream, sample.time - self._start, sample.values, self._note_limit)
 
     def _note_limit(self, level: str, text: str) -> None:
+        """Record and show that a limit on a channel is broken."""
         self._note(level, "runner", text)
         self._progress.warnings.append(text)
 
     # -- actions -----------------------------------------------------------------------------------------------------
 
-    def _move(self, planned: Segment) -> None:
+    def _move(self, planned_segment: Segment) -> None:
         """Follow the setpoints of a segment; record the step with its true duration, even if it is cut short."""
-        segment = self.outcomes.chosen(planned)
+        segment = self.outcomes.chosen(planned_segment)
         began = self.time
         self._progress.step = segment.name
         setpoints = list(segment.setpoints.items())

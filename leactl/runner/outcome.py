@@ -49,9 +49,9 @@ def is_out_of_order(error: BaseException) -> bool:
     return isinstance(error, SafetyTrip | RecordingFailed) or not isinstance(error, LeactlError | KeyboardInterrupt)
 
 
-def with_unconfirmed(error: BaseException | None, safe: Mapping[str, Confirmation]) -> BaseException | None:
+def with_unconfirmed(error: BaseException | None, confirmations: Mapping[str, Confirmation]) -> BaseException | None:
     """Return the error of a run, with the devices that are not confirmed safe added, or as an error of their own."""
-    text = unconfirmed_devices(safe)
+    text = unconfirmed_devices(confirmations)
     if not text:
         return error
     if error is None:
@@ -70,7 +70,7 @@ def joined(error: BaseException | None, further: BaseException | None) -> BaseEx
 
 
 def status_of(error: BaseException | None) -> tuple[str, str]:
-    """Return the status of a run that ended with an error, or without one, and its reason in one line."""
+    """Return the status of a run that ended with an error or, if None, without an error, and its reason in one line."""
     if error is None:
         return "complete", ""
     kind = "tripped" if isinstance(error, SafetyTrip) else "stopped" if isinstance(error, Stopped) else "failed"

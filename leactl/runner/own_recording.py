@@ -47,21 +47,23 @@ def save_recording(name_or_path: str, device: str, target: Path, changed_buses: 
     refuse_existing(target)
     file, devices, _document = load_checked(name_or_path)
     new_buses = benchfile.changed_buses(file, changed_buses)
-    chosen = [entry for entry in devices if entry.name == device]
-    if not chosen:
+    chosen_devices = [entry for entry in devices if entry.name == device]
+    if not chosen_devices:
         raise InputError(
             f"bench '{file.name}' has no device '{device}'; it has {', '.join(entry.name for entry in devices)}"
         )
-    if not hasattr(registry.load(chosen[0].entry.driver), "recorded"):
-        raise InputError(f"{device} ({chosen[0].entry.driver}) has no recorder of its own that could be uploaded")
-    if file.emulated is not None and chosen[0].entry.bus not in new_buses:
+    if not hasattr(registry.load(chosen_devices[0].entry.driver), "recorded"):
+        raise InputError(
+            f"{device} ({chosen_devices[0].entry.driver}) has no recorder of its own that could be uploaded"
+        )
+    if file.emulated is not None and chosen_devices[0].entry.bus not in new_buses:
         raise InputError(
             f"bench '{file.name}' is emulated: nothing has been recorded there; serve it (leactl bench serve), and say"
             " by --bus where"
         )
     file = file.model_copy(update={"buses": {**file.buses, **new_buses}})
-    with locks.held(file, chosen):
-        recording, doubt = _upload(Bench(file, chosen, MachineWiring()), device)
+    with locks.held(file, chosen_devices):
+        recording, doubt = _upload(Bench(file, chosen_devices, MachineWiring()), device)
     try:
         with new_file(target) as path:
             path.write_text(_table(recording), encoding="utf-8")

@@ -176,7 +176,7 @@ def _settings(words: Sequence[str]) -> dict[str, str]:
 
 
 def _seed(text: str | None) -> int | None:
-    """Return the value of `--set seed=...` as a number; None without one."""
+    """Return the value of `--set seed=...` as a number; None if it is not given."""
     if text is None:
         return None
     if not (text.isascii() and text.isdigit() and len(text) < 20 and int(text) <= MOST_SEED):

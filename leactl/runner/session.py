@@ -237,10 +237,10 @@ def _make_safe_and_latch(context: RunContext, error: BaseException | None, run_p
     return SafeEnd(confirmations, error, out_of_order)
 
 
-def _close_file(context: RunContext, recording: Recording, loop: Loop, end: SafeEnd) -> Outcome:
+def _close_file(context: RunContext, recording: Recording, loop: Loop, safe_end: SafeEnd) -> Outcome:
     """Record how the run ended, close its file and return the outcome; what fails here is added to the run's error."""
     bench, writer, flush, progress = context.bench, recording.writer, recording.flush, recording.progress
-    error = end.error
+    error = safe_end.error
     notes = [progress.view_fault] if progress.view_fault else []
     try:
         flush.stop()
@@ -249,7 +249,7 @@ def _close_file(context: RunContext, recording: Recording, loop: Loop, end: Safe
     for text in flush.warnings():  # of the last flush, after the last cycle
         writer.event(loop.time, "warning", "recorder", text)
         progress.warnings.append(text)
-    for name, confirmation in end.confirmations.items():
+    for name, confirmation in safe_end.confirmations.items():
         level = "info" if confirmation.safe else "error"
         writer.event(loop.time, level, name, f"safe state: {confirmation.detail}")
     for note in notes:
@@ -260,7 +260,7 @@ def _close_file(context: RunContext, recording: Recording, loop: Loop, end: Safe
         notes += writer.notes()
         notes += attach_exports(bench.drivers, context.request.bench_document, writer.path)
     except Exception as failure:  # noqa: BLE001 (as above)
-        if is_out_of_order(failure) and not end.out_of_order:
+        if is_out_of_order(failure) and not safe_end.out_of_order:
             _set_latch(context.latch, failure, writer.path)
         error = joined(error, failure)
     status, reason = status_of(error)
@@ -269,13 +269,13 @@ def _close_file(context: RunContext, recording: Recording, loop: Loop, end: Safe
         status=status,
         reason=reason,
         error=error,
-        safe=end.confirmations,
+        safe=safe_end.confirmations,
         duration_s=loop.time,
         overruns=loop.overruns,
         notes=[*notes, *(f"warning: {text}" for text in progress.warnings)],
         zeros=loop.zeros,
         verdicts=verdicts,
-        reported={name: known.reported for name, known in bench.provenance.items()},
+        reported={name: provenance.reported for name, provenance in bench.provenance.items()},
     )
 
 
@@ -285,8 +285,8 @@ def _record_verdicts(
     """Record and return the verdicts on limits; there are none if anything but a limit has ended the run."""
     if error is not None and not isinstance(error, AcceptanceFailed):
         return []
-    sought = [limit for limit in context.request.plan.acceptance if isinstance(limit, SearchLimit)]
-    verdicts = [*recording.limits.verdicts(), *loop.outcomes.verdicts(sought)]
+    search_limits = [limit for limit in context.request.plan.acceptance if isinstance(limit, SearchLimit)]
+    verdicts = [*recording.limits.verdicts(), *loop.outcomes.verdicts(search_limits)]
     for verdict in verdicts:
         recording.writer.event(loop.time, "info" if verdict.met else "warning", ACCEPTANCE, verdict.summary)
     return verdicts

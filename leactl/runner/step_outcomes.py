@@ -65,8 +65,8 @@ class Bisection:
         if self.outcome == BRACKETED:
             low, high = self.bracket
             return f"{name}: the outcome changes between {low:g} and {high:g} {unit}, {high - low:.3g} {unit} apart"
-        ends = f"{self.search.first:g} and {self.search.second:g} {unit}"
-        return f"{name}: not identifiable, the criterion is {'met' if self.met[0] else 'not met'} at both {ends}"
+        ends_text = f"{self.search.first:g} and {self.search.second:g} {unit}"
+        return f"{name}: not identifiable, the criterion is {'met' if self.met[0] else 'not met'} at both {ends_text}"
 
 
 class Outcomes:
@@ -84,9 +84,9 @@ class Outcomes:
         if trial.number == 1:
             self.searches.append(Bisection(trial.search))
         role, value = trial.search.role, self.searches[-1].setpoint
-        planned = segment.setpoints[role]
-        if not planned.low <= value <= planned.high:
-            raise AssertionError(f"{value:g} is not between {planned.low:g} and {planned.high:g}")
+        planned_profile = segment.setpoints[role]
+        if not planned_profile.low <= value <= planned_profile.high:
+            raise AssertionError(f"{value:g} is not between {planned_profile.low:g} and {planned_profile.high:g}")
         parameters = {f"current_{UNITS[trial.search.quantity]}": value, **segment.parameters}
         return replace(segment, setpoints={role: Constant(value)}, parameters=parameters)
 

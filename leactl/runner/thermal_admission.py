@@ -171,6 +171,7 @@ class Windings:
         )
 
     def _foresight(self) -> Foresight:
+        """Return the forecasts from the bounds that were recalled."""
         start = {role: recalled_bounds.nodes for role, recalled_bounds in self.recalled.items()}
         return Foresight(self.fed, self.settings, start)
 

@@ -90,8 +90,8 @@ class BenchCheck:
         wrong_statements = wrong(self.statements)
         if self.error is not None or not wrong_statements:
             return self.error
-        named = "; ".join(f"{statement.device}: {statement.about}" for statement in wrong_statements)
-        return AcceptanceFailed(f"{len(wrong_statements)} of {len(self.statements)} checks are wrong: {named}")
+        wrong_texts = "; ".join(f"{statement.device}: {statement.about}" for statement in wrong_statements)
+        return AcceptanceFailed(f"{len(wrong_statements)} of {len(self.statements)} checks are wrong: {wrong_texts}")
 
 
 def request_at_rest(

@@ -90,7 +90,10 @@ def slopes(columns: Array, response: Array) -> list[Slope]:
     inverse = np.linalg.inv(design.T @ design)
     coefficients = inverse @ design.T @ values
     influence = len(values) * (design * (values - design @ coefficients)[:, np.newaxis]) @ inverse
-    return [Slope(float(value), standard_error(part)) for value, part in zip(coefficients, influence.T, strict=True)]
+    return [
+        Slope(float(value), standard_error(column_influence))
+        for value, column_influence in zip(coefficients, influence.T, strict=True)
+    ]
 
 
 def is_of_size_one(slope: Slope) -> bool:
@@ -331,7 +334,14 @@ class Turning:
             advice += f", or {constant} by {factor:.4g}" + (", and so for the other drive" if by_sensor else "")
         elif abs(size - 1.0) > TORQUE_CONSTANT_LOSS:
             advice += f"; the scale is off by {size:.4g} as well"
-        keys = next((shown.place for shown in device.settings.shown() if by_sensor and shown.quantity == "torque"), ())
+        keys = next(
+            (
+                measurable.place
+                for measurable in device.settings.shown()
+                if by_sensor and measurable.quantity == "torque"
+            ),
+            (),
+        )
         location = ("devices", device.name, "settings", *keys[:2])
         line = self._request.bench_document.fault((*location, *filter(None, [key])), advice)
         return replace(statement, why=why, change=line)

@@ -85,8 +85,8 @@ def conduct(
             lock = f"campaign-{locks.name_of(bench)}"
             bench_locks.enter_context(locks.alone(lock, f"bench '{name}' has a campaign already"))
         expected = previews(pending, check)
-        for moved in campaign_folder.put_aside([*progress.unfinished, *progress.damaged], folder):
-            options.tell(f"put aside: {moved}")
+        for new_path in campaign_folder.put_aside([*progress.unfinished, *progress.damaged], folder):
+            options.tell(f"put aside: {new_path}")
         plans = {entry.cell.key: entry.request.plan for entry in entries}
         unjournaled = {
             key: Finished(run_id=progress.finished[key].run_id, unmet=_unmet(plans[key], progress.finished[key].path))
@@ -162,6 +162,7 @@ class _Conductor:
         self._save(self.journal.ended(entry.cell.key, finished))
 
     def _save(self, journal: Journal) -> None:
+        """Write a journal to the disk, and continue with it."""
         save(journal, self._folder)
         self.journal = journal
 
@@ -208,12 +209,13 @@ class _Conductor:
             return
         while rest_s := self._windings(entry).rest_before(entry.request.plan):
             self._options.tell(f"waiting {clock(rest_s)} for the windings to cool, for {entry.cell}")
-            end = time.monotonic() + rest_s
-            while time.monotonic() < end:
+            end_time = time.monotonic() + rest_s
+            while time.monotonic() < end_time:
                 check()
                 time.sleep(POLL_INTERVAL_S)
 
     def _windings(self, entry: CampaignEntry, cold: bool = False) -> Windings:
+        """Return the windings of a run at their present temperatures; `cold` if a person says that they are cold."""
         request = entry.request
         return Windings(request.bench, request.devices, request.actuator, request.in_process, cold)
 

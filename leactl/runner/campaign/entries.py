@@ -159,7 +159,7 @@ def previews(
 
 
 def _check_disk(entries: Sequence[CampaignEntry], preview_of: Mapping[tuple[str, str], Preview]) -> None:
-    """Refuse a disk without room for one copy of every run, and a second one of the largest run while it is closed."""
+    """Raise InputError unless the disk has room for every run, and for a second copy of the largest run at its end."""
     if not entries:
         return
     run_bytes = [preview_of[entry.cell.step, entry.cell.condition].planned_bytes / COPIES for entry in entries]

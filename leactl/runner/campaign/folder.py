@@ -134,13 +134,13 @@ def refuse_lost(progress: CampaignProgress) -> None:
 
 def put_aside(files: Sequence[RunFile], folder: Path) -> list[Path]:
     """Move run files to the subfolder `unfinished`, where analyses do not take them; return their new paths."""
-    moved = []
+    new_paths = []
     for file in files:
         target = folder / UNFINISHED_FOLDER / file.path.name
         target.parent.mkdir(exist_ok=True)
         move_without_overwriting(file.path, target)
-        moved.append(target)
-    return moved
+        new_paths.append(target)
+    return new_paths
 
 
 def _listed(keys: Sequence[str]) -> str:

@@ -50,8 +50,8 @@ class CampaignProgress:
 
     def unjournaled(self, journal: Journal) -> list[str]:
         """Return the keys of finished runs whose files the journal does not list."""
-        known = {key: run.run_id for key, run in journal.finished.items()}
-        return [key for key, file in self.finished.items() if known.get(key) != file.run_id]
+        journaled_ids = {key: run.run_id for key, run in journal.finished.items()}
+        return [key for key, file in self.finished.items() if journaled_ids.get(key) != file.run_id]
 
 
 def campaign_progress(
@@ -66,18 +66,18 @@ def campaign_progress(
     """
     campaign_files = [file for file in files if file.part_of.get("name") == name]
     by_id = {file.run_id: file for file in files}
-    finished, lost = {}, {}
+    finished, lost_reasons = {}, {}
     for key, entry in journal.finished.items():
         file = by_id.get(entry.run_id)
         if file is not None and file.whole and file in campaign_files and file.key == key:
             finished[key] = file
         else:
-            lost[key] = f"{entry.run_id}.h5: {_reason_lost(file, key)}"
+            lost_reasons[key] = f"{entry.run_id}.h5: {_reason_lost(file, key)}"
     for file in campaign_files:  # complete, but the process died before it wrote the journal
         if file.whole and file.key not in finished:
             finished[file.key] = file
-            lost.pop(file.key, None)
-    changed = [key for key, file in finished.items() if runs.get(key) != file.part_of.get("digest")]
+            lost_reasons.pop(file.key, None)
+    changed_keys = [key for key, file in finished.items() if runs.get(key) != file.part_of.get("digest")]
     underway_id = journal.underway.run_id if journal.underway else ""
     finished_ids = {file.run_id for file in finished.values()}
     journaled_ids = {entry.run_id for entry in journal.finished.values()}
@@ -89,7 +89,7 @@ def campaign_progress(
         and not file.whole
         and (file in campaign_files or file.run_id == underway_id)
     ]
-    return CampaignProgress(finished, lost, damaged, unfinished, changed)
+    return CampaignProgress(finished, lost_reasons, damaged, unfinished, changed_keys)
 
 
 def _reason_lost(file: RunFile | None, key: str) -> str:

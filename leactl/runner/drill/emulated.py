@@ -110,9 +110,9 @@ class EmulatedDrill:
             (rehearsal.fault, rehearsal.on, f"ought to be ended by: {rehearsal.drill.ended_by}")
             for rehearsal in self._rehearsals
         ]
-        planned = [PlannedRehearsal(name, on, explained, plan) for name, on, explained in rehearsed]
+        planned_rehearsals = [PlannedRehearsal(name, on, explained, plan) for name, on, explained in rehearsed]
         devices = [device.name for device in request.devices]
-        return PlannedDrill(self._file.name, True, devices, planned, self._left_out)
+        return PlannedDrill(self._file.name, True, devices, planned_rehearsals, self._left_out)
 
     def run(self) -> Drilled:
         """Make all rehearsals one after the other.
@@ -152,9 +152,9 @@ class EmulatedDrill:
         fault_time = 0.0
         if not faults:
             with Run.open(rehearsed.outcome.path) as run:
-                held = next(step for step in run.steps if step.name == by_hand.HOLD_NAME)
+                held_step = next(step for step in run.steps if step.name == by_hand.HOLD_NAME)
             # half a cycle later, so that it is clear which cycle is the first that can notice the fault
-            fault_time = round(rehearsed.power_watch.run_start + held.start + HELD_BEFORE_S + 0.5 * CYCLE_S, 6)
+            fault_time = round(rehearsed.power_watch.run_start + held_step.start + HELD_BEFORE_S + 0.5 * CYCLE_S, 6)
         return self._finding(NO_FAULT, "", {}, "nothing", None, rehearsed, None, faults), fault_time
 
     def _rehearse_stop(self, stop_time: float) -> DrillFinding:

@@ -96,7 +96,7 @@ class Drilled:
 
 
 def end_faults(
-    outcome: Outcome, allowed_statuses: Sequence[str], ends: Mapping[str, DeviceEnd], stays_on: str = ""
+    outcome: Outcome, allowed_statuses: Sequence[str], device_ends: Mapping[str, DeviceEnd], stays_on: str = ""
 ) -> list[str]:
     """Return the faults of a run's end: a wrong status, and devices that have power or are not confirmed safe.
 
@@ -108,11 +108,11 @@ def end_faults(
     faults = []
     if outcome.status not in allowed_statuses:
         faults.append("not caught" if outcome.status == "complete" else f"{outcome.status}: {outcome.reason}")
-    for name, end in ends.items():
-        if end.without_power is False and end.confirmed:
+    for name, device_end in device_ends.items():
+        if device_end.without_power is False and device_end.confirmed:
             faults.append(f"{name} was confirmed safe and has power")
-        elif end.without_power is False and name != stays_on:
+        elif device_end.without_power is False and name != stays_on:
             faults.append(f"{name} was left with power")
-        elif end.without_power is None and not end.confirmed:
-            faults.append(f"{name} not confirmed safe: {end.detail}")
+        elif device_end.without_power is None and not device_end.confirmed:
+            faults.append(f"{name} not confirmed safe: {device_end.detail}")
     return faults

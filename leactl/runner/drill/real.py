@@ -134,7 +134,7 @@ class RealDrill:
         InputError, SafetyTrip, DeviceError : as for any run, before a device is opened.
         """
         left_out = self._left_out()
-        planned = []
+        planned_rehearsals = []
         devices: list[str] = []
         for exercise in self._exercises():
             if exercise.name not in left_out:
@@ -142,8 +142,8 @@ class RealDrill:
                 devices = [device.name for device in request.devices]  # the same for each run
                 plan = dry_run(request).plan
                 on = self._sensor if exercise.name == UNPLUGGED else ""
-                planned.append(PlannedRehearsal(exercise.name, on, exercise.explained, plan))
-        return PlannedDrill(self._file.name, False, devices, planned, left_out | self._faults_left_out)
+                planned_rehearsals.append(PlannedRehearsal(exercise.name, on, exercise.explained, plan))
+        return PlannedDrill(self._file.name, False, devices, planned_rehearsals, left_out | self._faults_left_out)
 
     def _exercises(self) -> list[_Exercise]:
         """Return the chosen rehearsals; the one that latches the bench comes last."""
