@@ -163,10 +163,10 @@ class Stuck:
             channel.ends_at += now - channel.nan_since
             channel.compared_at += now - channel.nan_since
             channel.nan_since = math.nan
-        since, channel.compared_at = now - channel.compared_at, now
+        elapsed, channel.compared_at = now - channel.compared_at, now
         channel.next_comparison = now + channel.stuck_s / COMPARISONS_PER_STRETCH
         if channel.is_off():
-            channel.ends_at += since
+            channel.ends_at += elapsed
         elif channel.others_unchanged:
             channel.others_unchanged = not self._others_changed(channel)
 

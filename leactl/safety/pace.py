@@ -38,6 +38,7 @@ class Pace:
         self.last_check = now
 
     def _judge(self, now: float) -> None:
+        """Trip on a step of the clock, or count an overrun and trip if there are too many."""
         step = now - self.last_check
         if not step >= 0:
             self._trip(f"the bench's clock went back by {-step:.4g} s")

@@ -192,13 +192,19 @@ class Supplies:
         self._leads.tell(fed.role, fed.stream, heating_current)
 
     def _fed_role(self, role: str) -> _FedRole:
+        """Return the supply of a role.
+
+        Raises
+        ------
+        InputError : the role has no supply.
+        """
         if role not in self._fed:
             raise InputError(f"no supply feeds the leads of {role}")
         return self._fed[role]
 
 
 def at_leads(devices: Iterable[Driver], roles: Iterable[str]) -> dict[str, PowerSupply]:
-    """Return the supply at the leads of each role that has one.
+    """Return the supply at the leads of a role, by role; roles without a supply are left out.
 
     Raises
     ------
@@ -208,6 +214,12 @@ def at_leads(devices: Iterable[Driver], roles: Iterable[str]) -> dict[str, Power
 
 
 def _at_leads(devices: Iterable[Driver], roles: Iterable[str]) -> dict[str, _FedRole]:
+    """Return the supply at the leads of each role that has one, with the state of its supervision.
+
+    Raises
+    ------
+    InputError : two supplies at the leads of one role.
+    """
     by_role: dict[str, _FedRole] = {}
     roles = tuple(roles)
     for device in devices:

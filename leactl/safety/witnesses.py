@@ -267,9 +267,9 @@ class Witnesses:
         cycles = len(log)
         glanced_rows = log[::GLANCE_CYCLES] if cycles >= GLANCE_CYCLES * GLANCE_CYCLES else log
         columns = list(zip(*glanced_rows, strict=True))
-        ends = [(min(column), max(column)) for column in columns]
+        column_extremes = [(min(column), max(column)) for column in columns]
         for current_column, account in enumerate(self._accounts, start=CURRENTS):
-            if not self._plainly_agrees(account, current_column, columns, ends):
+            if not self._plainly_agrees(account, current_column, columns, column_extremes):
                 self._judge_window(
                     account, current_column, np.array(log), (now - self._began) / (cycles - self._carried_over)
                 )
@@ -279,15 +279,15 @@ class Witnesses:
 
     @staticmethod
     def _plainly_agrees(
-        account: Account, current_column: int, columns: Sequence[Sequence[float]], ends: Sequence[Ends]
+        account: Account, current_column: int, columns: Sequence[Sequence[float]], column_extremes: Sequence[Ends]
     ) -> bool:
         """Return whether the extremes of the readings suffice to show that no current contradicts the second sensor.
 
-        columns, ends : values of each column of the log, and their extremes.
+        columns, column_extremes : values of each column of the log, and their extremes.
         """
         witness = account.witness
-        low, high = witness.extremes(ends[EVIDENCE], ends[VELOCITY])
-        smallest, largest = _magnitudes(*ends[current_column])
+        low, high = witness.extremes(column_extremes[EVIDENCE], column_extremes[VELOCITY])
+        smallest, largest = _magnitudes(*column_extremes[current_column])
         agrees = low <= smallest and largest <= high
         if agrees and low > 0.0:
             agrees = (

@@ -54,14 +54,17 @@ class PlanState:
     @property
     def end_states(self) -> "list[PlanState]":
         """The state at each combination of ends of the setpoints that are still sought; only this state if none is."""
-        sought = {role: profile for role, profile in self.setpoints.items() if isinstance(profile, SoughtSetpoint)}
-        if not sought:
+        sought_profiles = {
+            role: profile for role, profile in self.setpoints.items() if isinstance(profile, SoughtSetpoint)
+        }
+        if not sought_profiles:
             return [self]
         end_choices = itertools.product(
-            *((Constant(profile.low), Constant(profile.high)) for profile in sought.values())
+            *((Constant(profile.low), Constant(profile.high)) for profile in sought_profiles.values())
         )
         return [
-            replace(self, setpoints={**self.setpoints, **dict(zip(sought, ends, strict=True))}) for ends in end_choices
+            replace(self, setpoints={**self.setpoints, **dict(zip(sought_profiles, end_profiles, strict=True))})
+            for end_profiles in end_choices
         ]
 
     @property
@@ -180,11 +183,14 @@ class Demand:
         torque that another drive holds against it rise with it.
         """
         courses = [self._demand_at(plan, end_state, times) for end_state in state.end_states]
-        squares, electrical_speeds, speeds, held = courses[0]
+        squares, electrical_speeds, speeds, held_torques = courses[0]
         for course in courses[1:]:
             squares, speeds = np.maximum(squares, course[0]), np.maximum(speeds, course[2])
-            electrical_speeds, held = np.minimum(electrical_speeds, course[1]), held_after_either(held, course[3])
-        return squares, electrical_speeds, speeds, held
+            electrical_speeds, held_torques = (
+                np.minimum(electrical_speeds, course[1]),
+                held_after_either(held_torques, course[3]),
+            )
+        return squares, electrical_speeds, speeds, held_torques
 
     def _demand_at(
         self, plan: Plan, state: PlanState, times: Sequence[float]
@@ -193,14 +199,16 @@ class Demand:
         currents, current_limit = np.zeros((len(self._roles), len(times))), self._settings.most_current
         speeds, lowest_speeds = self._speeds(plan, state, times)
         accelerations = self._accelerations(plan, state, times)
-        held: dict[int, HeldTorque] = {}
+        held_torques: dict[int, HeldTorque] = {}
         for index, role in enumerate(self._roles):
             if state.modes.get(role) in CURRENT_MODES:
                 currents[index] = [state.setpoints[role].at(time) for time in times]
         squares = currents**2
         for index, role in enumerate(self._roles):
             if state.modes.get(role) in (Mode.VELOCITY, Mode.ANGLE):
-                torques, held[index] = self._held_torques(plan, state, index, currents, times, speeds, accelerations)
+                torques, held_torques[index] = self._held_torques(
+                    plan, state, index, currents, times, speeds, accelerations
+                )
                 demanded = torques / self._motors[role].torque_constant
                 currents[index] = np.minimum(demanded, current_limit)
                 # a drive limits a current above the limit, and the current then lasts longer for the same impulse
@@ -211,7 +219,7 @@ class Demand:
             if role in state.leads:  # a heated set-up has no drive beside the supply
                 squares[index] = LEADS * state.leads[role] ** 2
         electrical_speeds = np.array([self._motors[role].pole_pairs for role in self._roles]) * lowest_speeds
-        return squares, electrical_speeds, speeds, held
+        return squares, electrical_speeds, speeds, held_torques
 
     def _held_torques(
         self,

@@ -131,23 +131,23 @@ class Foresight:
                     before_condition, open_conditions = open_conditions[-1], open_conditions[:-1]
                     bound.state = np.maximum(bound.state, before_condition.state)
                     self._demand.held = held_after_either(self._demand.held, before_condition.held)
-            ends_after, worst = time + state.shortest, bound.state
+            ends_after, worst_state = time + state.shortest, bound.state
             for piece in self._pieces(plan, state):
                 hottest_before, state_before = bound.hottest().tolist(), bound.state
                 heat = piece.squares, piece.aligned, piece.speeds
                 bound.step(piece.duration, *heat, self._settings.ambient, piece.delay)
                 time += piece.duration
                 if time - piece.duration < ends_after <= time:  # the action may end within this piece
-                    worst = np.maximum(state_before, bound.state)
+                    worst_state = np.maximum(state_before, bound.state)
                 elif time > ends_after:
-                    worst = np.maximum(worst, bound.state)
+                    worst_state = np.maximum(worst_state, bound.state)
                 hottest_after = bound.hottest().tolist()
                 for role, earlier, hottest in zip(self._roles, hottest_before, hottest_after, strict=True):
                     peaks[role] = max(peaks[role], hottest)
                     if not (hottest < limit or hottest < earlier):
                         return self._as_forecast(peaks, Passing(index, state.name, time, role))
             if state.shortest < state.duration:  # a node that heats may end late, one that cools may end early
-                bound.state = worst
+                bound.state = worst_state
             self._marks.append(_Mark(bound.state, self._demand.held, time, dict(peaks), open_conditions))
         return self._as_forecast(peaks, None)
 
@@ -240,7 +240,7 @@ class Foresight:
         is_fast = (electrical_speeds > FAST_RAD / guard_step)[:, None]
         electrical_speeds = np.minimum(electrical_speeds, FAST_RAD / guard_step)
         times = guard_step / STEP_PARTS * (np.arange(squares.shape[1]) + 0.5)
-        ends = slice(STEP_PARTS - 1, None, STEP_PARTS)
+        step_ends = slice(STEP_PARTS - 1, None, STEP_PARTS)
         durations = guard_step * np.arange(1, squares.shape[1] // STEP_PARTS + 1)
         turn_phasors = np.exp(2j * electrical_speeds[:, None, None] * SPEED_FACTORS[:, None] * times)
         # changes of the current may keep step with a rotor that turns far between two parts: their heat is loose
@@ -252,7 +252,7 @@ class Foresight:
             (squares - steady_squares)[:, None, :],
         )
         total, moment, phasor, phasor_moment, loose_total, loose_moment = (
-            np.cumsum(density, axis=2)[:, :, ends]
+            np.cumsum(density, axis=2)[:, :, step_ends]
             for density in (heat, heat * times, turning, turning * times, loose, loose * times)
         )
         middle = 0.5 * durations
@@ -265,11 +265,11 @@ class Foresight:
         mean_delay = np.where(aligned < 1.0, mean_delay, 2.0 * np.maximum(moment - middle * total, 0.0))
         delay = self._delay_bound(mean_delay / np.where(no_heat, 1.0, total * (1.0 + aligned)), guard_step, durations)
         remaining = self._remaining_heat(aligned, delay)
-        worst = np.argmax(remaining, axis=1)
-        span = np.argmin(np.take_along_axis(remaining, worst[:, None, :], axis=1)[:, 0, :], axis=1)
+        worst_factor = np.argmax(remaining, axis=1)
+        span = np.argmin(np.take_along_axis(remaining, worst_factor[:, None, :], axis=1)[:, 0, :], axis=1)
         roles = np.arange(len(electrical_speeds))
-        chosen = roles, worst[roles, span], span
-        return aligned[chosen], delay[chosen]
+        chosen_indices = roles, worst_factor[roles, span], span
+        return aligned[chosen_indices], delay[chosen_indices]
 
     def _remaining_heat(self, aligned: Array, delay: Array) -> Array:
         """Return what a hottest phase keeps of its heat at the end of a span, up to a constant factor."""

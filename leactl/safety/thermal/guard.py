@@ -250,7 +250,7 @@ class ThermalGuard:
         while rotors crawl.
         """
         bound, decay = self._bound, self._bound.decay_s
-        joined_spans = [earlier.joined(after) for earlier, after in zip(self._spans, new_spans, strict=True)]
+        joined_spans = [earlier.joined(new_span) for earlier, new_span in zip(self._spans, new_spans, strict=True)]
         has_gap = any(rotor.path_has_gap for rotor in self.rotors)  # no angles by the velocity are comparable across it
         can_join = not has_gap and self._spans[0].duration > 0.0 and joined_spans[0].duration <= LONGEST_STEP_S
         if can_join and self._remaining_heat(joined_spans, joined_spans) < self._remaining_heat(

@@ -24,7 +24,7 @@ class Leads:
         self._squares: dict[int, dict[str, float]] = {}  # A^2 by index of the role, and by source
 
     def tell(self, role: str, source: str, amperes: float) -> None:
-        """Set the current [A] that one source, a stream, reports for the leads of a role from now on."""
+        """Set the current [A] through the leads of a role that a source, the name of a stream, reports from now on."""
         index = self._guard.roles.index(role)
         squares = self._squares.setdefault(index, {})
         squares[source] = LEADS * amperes * amperes
@@ -95,6 +95,7 @@ class MeasuredStreams:
                 yield partial(self._compare_resistance, role, voltage, current, LeadResistance(self._guard.boxes[role]))
 
     def _compare_air(self, index: int, row: Row) -> None:
+        """Trip if the air is measured hotter than the bench file's ambient, its tolerance and the sensor allow."""
         ambient = self._guard.ambient
         highest_expected = ambient + min(box.ambient_rise for box in self._guard.boxes.values()) + SENSOR_ERROR_K
         if row.values[index] > highest_expected:
@@ -104,12 +105,18 @@ class MeasuredStreams:
             )
 
     def _compare_winding(self, role: str, index: int, row: Row) -> None:
+        """Trip if the winding is measured hotter than its hottest phase can be."""
         self._compare(role, "winding is measured", row.values[index], self._guard.hottest[role])
 
     def _compare_housing(self, role: str, index: int, row: Row) -> None:
+        """Trip if the housing is measured hotter than it can be."""
         self._compare(role, "housing is measured", row.values[index], float(self._guard.node_bounds[role][HOUSING]))
 
     def _compare_resistance(self, role: str, voltage: int, current: int, leads: LeadResistance, row: Row) -> None:
+        """Trip if the winding is by its resistance hotter than its hottest phase can be.
+
+        voltage, current : indices of the two among the values of a row.
+        """
         lowest_temperature = leads.least(row.values[voltage], row.values[current], row.time)
         self._compare(role, "winding is by its resistance", lowest_temperature, self._guard.hottest[role])
 
@@ -122,6 +129,7 @@ class MeasuredStreams:
             )
 
     def _set_lead_current(self, role: str, index: int, row: Row) -> None:
+        """Set the current through the leads of a role to its reading, unless that is NaN."""
         reading = row.values[index]
         if reading == reading:
             self._leads.tell(role, row.stream, reading)

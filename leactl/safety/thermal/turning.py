@@ -72,7 +72,7 @@ class Span:
         return delay_bound(delayed_heat / (self.square * (1.0 + self.aligned)), self.duration, self.longest_gap, decay)
 
     def joined(self, following: "Span") -> "Span":
-        """Return the span that covers this span and the one that follows it."""
+        """Return the span that covers this span and the span `following` it."""
         offset = self.duration
         return Span(
             offset + following.duration,
