@@ -78,7 +78,7 @@ class Bench:
 
     @property
     def fast_streams(self) -> dict[str, float]:
-        """Sampling rate [Hz] of each stream that declares one."""
+        """Sampling rate [Hz] of each stream that declares a rate, by the name of the stream."""
         specs = [spec for driver in self._drivers_with_streams for spec in driver.streams]
         return {spec.name: spec.rate_Hz for spec in specs if spec.rate_Hz}
 

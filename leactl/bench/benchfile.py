@@ -288,20 +288,20 @@ def changed_buses(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | 
     ------
     InputError : a word has another form, or names no such bus of the bench.
     """
-    changed: dict[str, CanBus | LineBus] = {}
+    new_buses: dict[str, CanBus | LineBus] = {}
     for word in words:
         name, _, target = word.partition("=")
         interface, _, channel = target.partition(":")
         bus = bench.buses.get(name)
         if isinstance(bus, SerialBus) and interface == "serial" and channel:
-            changed[name] = bus.model_copy(update={"port": channel})
+            new_buses[name] = bus.model_copy(update={"port": channel})
             continue
         if isinstance(bus, VisaBus) and interface == "visa":
             try:
                 _socket_address(channel)
             except ValueError as error:
                 raise InputError(f"--bus {word}: {error}") from None
-            changed[name] = bus.model_copy(update={"resource": channel})
+            new_buses[name] = bus.model_copy(update={"resource": channel})
             continue
         if not isinstance(bus, CanBus) or not interface:
             changeable = ", ".join(key for key, value in bench.buses.items() if not isinstance(value, I2cBus)) or "none"
@@ -309,8 +309,8 @@ def changed_buses(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | 
                 f"--bus {word}: NAME=INTERFACE:CHANNEL was expected, with a CAN bus of the bench, NAME=visa:RESOURCE,"
                 f" with a raw socket of it, or NAME=serial:PORT, with a serial line of it ({changeable})"
             )
-        changed[name] = bus.model_copy(update={"interface": interface, "channel": channel})
-    return changed
+        new_buses[name] = bus.model_copy(update={"interface": interface, "channel": channel})
+    return new_buses
 
 
 def _unusable_drivers(document: yamlfile.Document) -> list[str]:
@@ -358,9 +358,10 @@ def _shared_identifiers(document: yamlfile.Document, devices: Sequence[CheckedDe
                 continue
             shared = sorted(device.settings.bus_identifiers & earlier.settings.bus_identifiers)
             if shared:
-                named = ", ".join(f"0x{identifier:03X}" for identifier in shared[:4])
+                identifier_texts = ", ".join(f"0x{identifier:03X}" for identifier in shared[:4])
                 message = (
-                    f"uses the identifiers {named} of {earlier.name} on bus '{device.entry.bus}'; another node or bus"
+                    f"uses the identifiers {identifier_texts} of {earlier.name} on bus '{device.entry.bus}';"
+                    " another node or bus"
                 )
                 faults.append(document.fault(("devices", device.name, "settings"), f"{message} was expected"))
     return faults

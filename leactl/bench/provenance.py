@@ -60,8 +60,8 @@ def overdue(devices: Sequence[CheckedDevice], today: date | None = None) -> dict
     today = today or datetime.now(UTC).date()
     lines = {}
     for device in devices:
-        due, calibrated = device.entry.calibration_due, device.entry.calibrated
-        if due is not None and due < today:
-            since = f"; it was calibrated {calibrated}" if calibrated else ""
-            lines[device.name] = f"calibration was due {due}, {(today - due).days} days ago{since}"
+        due_date, calibrated = device.entry.calibration_due, device.entry.calibrated
+        if due_date is not None and due_date < today:
+            calibration_text = f"; it was calibrated {calibrated}" if calibrated else ""
+            lines[device.name] = f"calibration was due {due_date}, {(today - due_date).days} days ago{calibration_text}"
     return lines

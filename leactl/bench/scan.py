@@ -117,8 +117,8 @@ def _drivers() -> "Iterator[tuple[str, type[Driver]]]":
 def settings_left_open(driver: "type[Driver]", sighting: Sighting) -> list[str]:
     """Return the settings that a bench file must have and that a device's answer does not determine."""
     settings, fields = sighting.settings or {}, driver.Settings.model_fields
-    needed = [name for name, field in fields.items() if field.is_required() or name in sighting.left_open]
-    return [name for name in needed if name not in settings]
+    needed_settings = [name for name, field in fields.items() if field.is_required() or name in sighting.left_open]
+    return [name for name in needed_settings if name not in settings]
 
 
 # -- CAN -------------------------------------------------------------------------------------------------------------
@@ -167,8 +167,8 @@ class _HeardFrames:
 class _WatchedBus:
     """A connection that stores received frames, and refuses to send identifiers of other protocols' devices."""
 
-    def __init__(self, bus: "can.BusABC", heard: _HeardFrames, time_limit: _TimeLimit) -> None:
-        self._bus, self._heard, self._time_limit = bus, heard, time_limit
+    def __init__(self, bus: "can.BusABC", heard_frames: _HeardFrames, time_limit: _TimeLimit) -> None:
+        self._bus, self._heard_frames, self._time_limit = bus, heard_frames, time_limit
         self.taken: Collection[int] = ()
 
     def recv(self, timeout: float | None = None) -> "can.Message | None":
@@ -176,7 +176,7 @@ class _WatchedBus:
         self._time_limit.check()
         message = self._bus.recv(timeout)
         if message is not None:
-            self._heard.add(message)
+            self._heard_frames.add(message)
         return message
 
     def send(self, message: "can.Message", timeout: float | None = None) -> None:
@@ -190,7 +190,7 @@ class _WatchedBus:
         if not message.is_extended_id and message.arbitration_id in self.taken:
             raise ProbeOverrun(f"would send 0x{message.arbitration_id:03X}, on which another device acts")
         kind = FdFrame if message.is_fd else Frame
-        self._heard.sent.add(kind(message.arbitration_id, bytes(message.data)))
+        self._heard_frames.sent.add(kind(message.arbitration_id, bytes(message.data)))
         self._bus.send(message, timeout)
 
     def shutdown(self) -> None:
@@ -230,7 +230,7 @@ class _CanScan:
         watcher: Watcher,
     ) -> None:
         self._report, self._connect, self._clock, self._probes = report, connect, clock, probes
-        self._show, self._heard, self._time_limit = watcher.show, _HeardFrames(), _TimeLimit(clock, watcher)
+        self._show, self._heard_frames, self._time_limit = watcher.show, _HeardFrames(), _TimeLimit(clock, watcher)
         # the watched bus has the methods of a bus that a port calls
         self._port = CanPort(self._connect_watched, clock, report.name)  # type: ignore[arg-type]
         self._addresses: dict[str, frozenset[int]] = {}  # heard while listening, by driver
@@ -238,7 +238,7 @@ class _CanScan:
 
     def _connect_watched(self) -> _WatchedBus:
         """Connect to the bus, with every frame stored and checked."""
-        self._bus = _WatchedBus(self._connect(), self._heard, self._time_limit)
+        self._bus = _WatchedBus(self._connect(), self._heard_frames, self._time_limit)
         return self._bus
 
     def run(self, fd: bool) -> None:
@@ -248,10 +248,10 @@ class _CanScan:
         port.open()
         try:
             port.pump_until((False,), self._clock.now() + LISTEN_S)
-            frames = self._heard.frames
+            frames = self._heard_frames.frames
             self._addresses = {name: frozenset(probe.heard(frames)) for name, probe in self._probes.items()}
             self._known_nodes = {name: set(nodes) for name, nodes in self._addresses.items()}
-            if self._heard.of_29_bits:
+            if self._heard_frames.of_29_bits:
                 report.note("frames with identifiers of 29 bits come, of a protocol that no driver here speaks")
             if reason := self._reason_to_listen():
                 self._only_listen(reason)
@@ -262,8 +262,8 @@ class _CanScan:
                 if reason := self._other_host():
                     self._only_listen(reason)
                     return
-            if self._heard.errors:
-                report.note(f"{self._heard.errors} error frames came while it was asked; {BIT_RATE_HINT}")
+            if self._heard_frames.errors:
+                report.note(f"{self._heard_frames.errors} error frames came while it was asked; {BIT_RATE_HINT}")
         except DeviceError:
             if port.queue_full.count:
                 raise DeviceError(f"bus '{report.name}': no frame is acknowledged; {BIT_RATE_HINT}") from None
@@ -278,9 +278,9 @@ class _CanScan:
 
     def _reason_to_listen(self) -> str:
         """Return why nothing may be sent, according to the received frames; empty if a probe may ask."""
-        heard, rate = self._heard, self._heard.count / LISTEN_S
-        if heard.errors:
-            return f"{heard.errors} error frames came; {BIT_RATE_HINT}"
+        heard_frames, rate = self._heard_frames, self._heard_frames.count / LISTEN_S
+        if heard_frames.errors:
+            return f"{heard_frames.errors} error frames came; {BIT_RATE_HINT}"
         if reason := self._other_host():
             return reason
         return f"{rate:.0f} frames a second come without a host: a device babbles" if rate >= MOST_FRAMES_HZ else ""
@@ -288,7 +288,7 @@ class _CanScan:
     def _other_host(self) -> str:
         """Return a line on another host of which a command was heard; empty if none was."""
         for probe in self._probes.values():
-            if command := probe.host(self._heard.frames):
+            if command := probe.host(self._heard_frames.frames):
                 return f"another host is at work, {command} was heard; end it, then scan again"
         return ""
 
@@ -304,7 +304,7 @@ class _CanScan:
         """Return the drivers whose probes may not be used on this bus, and note them in the report."""
         unsuited = [name for name, probe in self._probes.items() if probe.fd]
         if fd and not (
-            self._heard.classic or any(not self._probes[answer.driver].fd for answer in self._report.answered)
+            self._heard_frames.classic or any(not self._probes[answer.driver].fd for answer in self._report.answered)
         ):
             return []
         reason = "errors to the classic devices on the bus" if fd else "more than this interface carries"

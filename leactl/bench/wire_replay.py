@@ -240,7 +240,7 @@ class _LineSide:
         return len(self._wire.send(data.hex())) // 2
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: a replay opens nothing."""
 
 
 class _CanSide:
@@ -273,7 +273,7 @@ class _CanSide:
         )
 
     def shutdown(self) -> None:
-        """Nothing is open."""
+        """Do nothing: a replay opens nothing."""
 
 
 class _I2cSide:
@@ -290,7 +290,7 @@ class _I2cSide:
         self._wire.transfer(SENT, f"{i2c_addr:02x} {register:02x} {swap_bytes(value):04x}")
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: a replay opens nothing."""
 
 
 def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> ReplayResult:
