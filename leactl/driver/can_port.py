@@ -75,6 +75,12 @@ class CanPort:
         self._users += 1
 
     def _open_bus(self) -> None:
+        """Connect to the bus, and count its error frames anew.
+
+        Raises
+        ------
+        DeviceError : the bus is absent or refuses.
+        """
         self.error_frames = Tally()
         try:
             self.bus = self._connect()
@@ -97,6 +103,7 @@ class CanPort:
         self._open_bus()
 
     def _disconnect(self) -> None:
+        """Shut the connection down, if there is one."""
         bus, self.bus = self.bus, None
         if bus is not None:
             try:

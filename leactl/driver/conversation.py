@@ -162,6 +162,12 @@ class Talk(Generic[Result]):
         return yielded
 
     def _send(self, to_send: Query | str | bytes) -> None:
+        """Send a text or a query, and wait for its reply if it is a query.
+
+        Raises
+        ------
+        DeviceError : the line is closed or gone.
+        """
         self._unsent = None
         content = to_send.text if isinstance(to_send, Query) else to_send
         if isinstance(to_send, Query) and (to_send.framing is not None or to_send.silence_s is not None):

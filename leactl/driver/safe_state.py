@@ -24,7 +24,7 @@ class Port(Protocol):
 
 
 def send_at_once(send: Callable[[], object], port: Port, is_open: Callable[[], bool]) -> None:
-    """Send a command that removes power, without waiting for its answer; if that fails, again over a new connection.
+    """Send a command that removes power, without waiting for its answer; if that fails, send it over a new connection.
 
     A failure is not raised, because `safe_state` reports it.
 

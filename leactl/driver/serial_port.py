@@ -244,6 +244,12 @@ class SerialPort:
             self._last_received = self.clock.now()
 
     def _open_line(self) -> None:
+        """Connect to the device.
+
+        Raises
+        ------
+        DeviceError : the device is absent or refuses.
+        """
         try:
             self._line = self._connect()
         except (OSError, ValueError, ImportError) as error:
@@ -251,6 +257,7 @@ class SerialPort:
         self._last_received = self.clock.now()
 
     def _disconnect(self) -> None:
+        """Close the connection, if there is one, and drop what has arrived."""
         self._forget()
         line, self._line = self._line, None
         if line is not None:
@@ -258,6 +265,7 @@ class SerialPort:
                 line.close()
 
     def _forget(self) -> None:
+        """Drop all bytes that have arrived."""
         self._received = b""
 
     def _gone_error(self, error: OSError) -> DeviceError:
