@@ -108,9 +108,8 @@ class Loop:
                     self._pause()
             self._cycle()
         except BaseException as error:
-            self._see_standstill(
-                self._clock.now() - self._next_start
-            )  # first: a drive's fault after a standstill is its consequence
+            # first, because a drive's fault after a standstill is a consequence of it
+            self._see_standstill(self._clock.now() - self._next_start)
             self._supervisor.latch(str(error))  # after a drive's fault as after a trip, nothing is commanded
             raise
         finally:

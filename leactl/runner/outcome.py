@@ -24,9 +24,8 @@ class Outcome:
     duration_s: float
     overruns: int
     notes: Sequence[str] = ()  # faults that did not affect the run
-    zeros: Mapping[str, tuple[float, float]] = field(
-        default_factory=dict
-    )  # of each tared channel, before and after [its unit]
+    # zero of each tared channel, before and after the tare [its unit]
+    zeros: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     verdicts: Sequence[LimitVerdict] = ()  # on the limits of channels and searches
     reported: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # identity that each device reported
 

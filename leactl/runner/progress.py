@@ -19,10 +19,8 @@ class Progress:
     streams: Mapping[str, tuple[ChannelSpec, ...]]
     values: Sequence[float] = ()  # of stream "loop"
     device_values: Mapping[str, Sequence[float]] = field(default_factory=dict)  # newest row of every other stream
-    windings: tuple[Mapping[str, float], Mapping[str, float]] = (
-        {},
-        {},
-    )  # by role: estimate, and bound of the hottest phase
+    # degC by role: estimate, and bound of the hottest phase
+    windings: tuple[Mapping[str, float], Mapping[str, float]] = ({}, {})
     winding_limit: float = math.nan  # degC, that no bound may pass
     time_left: Callable[[], Mapping[str, float]] = dict  # s by role, until the limit at the present current
     step: str = ""

@@ -213,9 +213,8 @@ class RunUnderway:
         """
 
         def append() -> None:
-            append_descriptor = os.open(
-                f"/proc/self/fd/{self.descriptor}", os.O_WRONLY | os.O_APPEND
-            )  # appends whole lines, also with others
+            # with O_APPEND several processes append whole lines
+            append_descriptor = os.open(f"/proc/self/fd/{self.descriptor}", os.O_WRONLY | os.O_APPEND)
             try:
                 os.write(append_descriptor, _line({"remark": text}))
             finally:

@@ -40,9 +40,8 @@ def free_bytes(path: Path) -> float:
     """Return the free space [bytes] of the disk where this file or directory is, or will be made."""
     existing = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
     usage = shutil.disk_usage(existing)
-    return (
-        float(usage.free) if usage.total else math.inf
-    )  # a file system without a size: a full one shows when writing fails
+    # if a file system reports no size, only a failed write shows that it is full
+    return float(usage.free) if usage.total else math.inf
 
 
 def planned_bytes(

@@ -297,42 +297,34 @@ class Witnesses:
             account.verdict = account.windows = AGREES
         return agrees
 
-    def _judge_window(self, account: Account, current_column: int, rows: Array, period: float) -> None:
+    def _judge_window(self, account: Account, column: int, rows: Array, period: float) -> None:
         """Judge one window of cycles of `period` [s]; a window in which a reading is NaN contradicts nothing."""
-        window, squares = rows[self._carried_over :], rows[:, current_column] ** 2
-        mean_square = float(squares[self._carried_over :].mean())
+        window, squares = rows[self._carried_over :], rows[:, column] ** 2
+        square = float(squares[self._carried_over :].mean())
         # the sensors are not sampled at the same moment: a current that changes may be read some cycles apart, and a
         # sensor that is slower than the loop may miss every other sample of a swing
         sampling_spread = MOST_CYCLES_APART / len(window) * float(squares.max() - squares.min())
-        tolerance = sampling_spread + (float(np.abs(np.diff(squares)).mean()) if len(squares) > 1 else 0.0)
+        slack = sampling_spread + (float(np.abs(np.diff(squares)).mean()) if len(squares) > 1 else 0.0)
         velocity = window[:, VELOCITY]
         previous_velocity = float(rows[self._carried_over - 1, VELOCITY]) if self._carried_over else float(velocity[0])
         currents = account.witness.currents(window[:, EVIDENCE], velocity, previous_velocity, period)
         low, likely, high = (
             float(bound @ bound) / len(window) for bound in (currents.low, currents.likely, currents.high)
         )
-        along_reading = float((currents.direction * currents.low) @ window[:, current_column]) / len(window)
+        product = float((currents.direction * currents.low) @ window[:, column]) / len(window)
         verdict = (
-            TURNED
-            if along_reading < -tolerance
-            else LESS
-            if low > mean_square + tolerance
-            else MORE
-            if mean_square > high + tolerance
-            else AGREES
+            TURNED if product < -slack else LESS if low > square + slack else MORE if square > high + slack else AGREES
         )
         has_changed = False
         if verdict == MORE:  # a slow second sensor shows too little of a current that swings or changes, never too much
-            verdict = (
-                MORE if float(window[:, current_column].mean()) ** 2 >= (1.0 - STEADY_SHARE) * mean_square else AGREES
-            )
-            has_changed = abs(mean_square - account.mean_square) > STEADY_SHARE * max(mean_square, account.mean_square)
-        account.mean_square = mean_square
+            verdict = MORE if float(window[:, column].mean()) ** 2 >= (1.0 - STEADY_SHARE) * square else AGREES
+            has_changed = abs(square - account.mean_square) > STEADY_SHARE * max(square, account.mean_square)
+        account.mean_square = square
         is_repeated = verdict == account.verdict != AGREES and not has_changed
         account.windows = account.windows + 1 if is_repeated else int(verdict != AGREES)
         account.verdict = verdict
         if account.windows >= CONTRADICTING_WINDOWS:
-            self._contradict(account, *(math.sqrt(square) for square in (mean_square, low, likely, high)))
+            self._contradict(account, *(math.sqrt(mean) for mean in (square, low, likely, high)))
 
     def _contradict(self, account: Account, reading: float, low: float, likely: float, high: float) -> None:
         """Trip with a message that compares a reading with the currents by the second sensor [A], all rms values."""

@@ -146,7 +146,8 @@ class Foresight:
                     peaks[role] = max(peaks[role], hottest)
                     if not (hottest < limit or hottest < earlier):
                         return self._as_forecast(peaks, Passing(index, state.name, time, role))
-            if state.shortest < state.duration:  # a node that heats may end late, one that cools may end early
+            # a node that heats is hottest if the action ends late, a node that cools if it ends early
+            if state.shortest < state.duration:
                 bound.state = worst_state
             self._marks.append(_Mark(bound.state, self._demand.held, time, dict(peaks), open_conditions))
         return self._as_forecast(peaks, None)

@@ -116,15 +116,11 @@ class ThermalGuard:
         self._anchor, self._spans = self._bound.state, [Span() for _ in boxes]
         self._memory_fault: Callable[[], str] = str
         self._budgets = [-math.inf] * len(boxes)
-        self._flowing_alignment = [1.0] * len(
-            boxes
-        )  # alignment of the flowing current while no rotor turns; see `ThermalBound.step`
-        self.hottest = {
-            role: float(nodes[HOTTEST, index]) for index, role in enumerate(self.roles)
-        }  # degC, at the most
-        self.estimate = {
-            role: float(nodes[MEAN, index]) for index, role in enumerate(self.roles)
-        }  # degC, for display alone
+        # `aligned` of `ThermalBound.step` for the flowing currents, if no rotor turns
+        self._flowing_alignment = [1.0] * len(boxes)
+        # degC by role: upper bound of the hottest phase, and estimate of the mean of the phases for display alone
+        self.hottest = {role: float(nodes[HOTTEST, index]) for index, role in enumerate(self.roles)}
+        self.estimate = {role: float(nodes[MEAN, index]) for index, role in enumerate(self.roles)}
         self.allowed = dict.fromkeys(self.roles, math.inf)
         self.node_bounds = {role: nodes[:, index] for index, role in enumerate(self.roles)}  # degC, bounds of all nodes
 
