@@ -229,7 +229,7 @@ class Loop:
             )
 
     def _note_overrun(self, late_s: float) -> None:
-        """Count a cycle that began this late [s]; trip if that is a standstill, and note some of the overruns."""
+        """Count a cycle that ended this late [s]; trip if that is a standstill, and record some of the overruns."""
         self._see_standstill(late_s)
         self.overruns += 1
         if self.overruns in (1, 10, 100, 1000):

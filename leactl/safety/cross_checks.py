@@ -77,8 +77,8 @@ class _StillChannel:
     def is_stuck(self) -> bool:
         """Return whether this channel should have changed.
 
-        It should if another channel has changed; an angle should if the velocity shows that the shaft has moved, and a
-        velocity if the angle does.
+        It should if another channel has changed. An angle should instead if the velocity shows that the shaft has
+        moved, and a velocity if the angle shows it.
         """
         if self.velocity_index is None and self.angle_index is None:
             return not self.others_unchanged
