@@ -119,4 +119,5 @@ def dry_run(request: Request) -> DryRun:
     if fault := state_folder.folder_of(request.bench, request.in_process).fault:
         warnings.append(f"{fault}; see: leactl doctor")
     planned_size, forecast = room_needed(request, bench), windings.forecast(plan)
-    return DryRun(plan, planned_size, windings, forecast, admitted.stays_on, warnings, windings_without_second_sensor(plan, bench))
+    one_sensor_texts = windings_without_second_sensor(plan, bench)
+    return DryRun(plan, planned_size, windings, forecast, admitted.stays_on, warnings, one_sensor_texts)
