@@ -11,9 +11,9 @@ from leactl.gap.diagnose import diagnose, mend_faults
 from leactl.gap.setup import (
     clock_faults,
     conventions,
+    factor_hypotheses,
     faulty_samples,
     find_and_mend_faults,
-    hypotheses,
     relations,
     swapped_channels,
 )
@@ -170,10 +170,10 @@ def test_the_page_has_the_numbers_of_the_code():
     assert f"stands still over {100 * faulty_samples.LEAST_FROZEN_SHARE:.0f} % of a run" in page
     assert f"| {100 * faulty_samples.MOST_REPEATED_SHARE:.0f} % of a measured channel" in page
     assert f"| {100 * faulty_samples.LEAST_CLIPPED_SHARE:.0f} % of a measured channel stands at its end" in page
-    assert f"explains {hypotheses.LEAST_EXPLAINED_SQUARES:.0f} squares of standard deviations" in page
-    assert f"and {100 * hypotheses.LEAST_EXPLAINED_SHARE:.0f} % of what a channel is off by" in page
-    assert f"leaves no factor beyond {hypotheses.MOST_RESIDUAL_STDS:.0f} of them" in page
-    assert f"within {hypotheses.MOST_RIVAL_COST:.0f} of the best" in page
+    assert f"explains {factor_hypotheses.LEAST_EXPLAINED_SQUARES:.0f} squares of standard deviations" in page
+    assert f"and {100 * factor_hypotheses.LEAST_EXPLAINED_SHARE:.0f} % of what a channel is off by" in page
+    assert f"leaves no factor beyond {factor_hypotheses.MOST_RESIDUAL_STDS:.0f} of them" in page
+    assert f"within {factor_hypotheses.MOST_RIVAL_COST:.0f} of the best" in page
     assert f"whole number up to {conventions.MOST_POLE_PAIRS}" in page
     usual = relations.FACTOR_STDS
     told = (relations.TIGHT_STD, relations.CONSTANT_STD, usual["inertia"], usual["friction"], usual["damping"])
