@@ -5,7 +5,7 @@ import math
 import pytest
 
 from leactl.emulation.clock import EmulatedClock
-from leactl.emulation.wires.serial import MOST_UNSENT, EmulatedSerialLine, SerialWire
+from leactl.emulation.wires.serial import MOST_UNSENT_BYTES, EmulatedSerialLine, SerialWire
 
 BYTE_S = 10 / 9600
 
@@ -70,7 +70,7 @@ def test_a_read_waits_for_the_first_byte_and_no_longer(wire):
 
 def test_what_the_line_cannot_hold_is_not_taken(wire):
     line = EmulatedSerialLine(wire)
-    assert line.write(b"x" * (MOST_UNSENT + 7)) == MOST_UNSENT
+    assert line.write(b"x" * (MOST_UNSENT_BYTES + 7)) == MOST_UNSENT_BYTES
     assert line.write(b"x") == 0
 
 

@@ -40,7 +40,7 @@ _observers: "list[Callable[[EmulatedBench], None]]" = []
 def observed(observer: "Callable[[EmulatedBench], None]") -> Iterator[None]:
     """Call `observer` with every emulated bench that this process makes within the block.
 
-    A rehearsal uses this to check in the plant, not by the devices' reports, that a drive confirmed safe is off.
+    With it, a rehearsal checks in the plant, not by a device's report, that a drive is off once it is confirmed safe.
     """
     _observers.append(observer)
     try:
@@ -50,7 +50,7 @@ def observed(observer: "Callable[[EmulatedBench], None]") -> Iterator[None]:
 
 
 class EmulatedMachine:
-    """One actuator of the rig as its drive's sensors read it: current and velocity with noise, the rest without."""
+    """One actuator of the rig as its drive's sensors read it; only current and velocity have noise."""
 
     def __init__(
         self,
@@ -65,7 +65,7 @@ class EmulatedMachine:
         self.command = actuator.command
 
     def read(self) -> tuple[float, float, float]:
-        """Current [A], velocity [rad/s] and angle [rad] now."""
+        """Return the present current [A], velocity [rad/s] and angle [rad]."""
         actuator, noise = self._actuator, self._noise
         current = actuator.current + self._current_noise * noise()
         return current, actuator.velocity + self._velocity_noise * noise(), actuator.angle
@@ -98,7 +98,7 @@ class EmulatedBench:
             raise InputError(f"bench '{file.name}' is a real bench; it has no `emulated:` block")
         emulated.expect(condition)
         all_faults = [make_fault(entry) for entry in emulated.faults]
-        used_devices = [device.name for device in devices]  # faults of devices that the run does not use are dropped
+        used_devices = [device.name for device in devices]  # a fault of another device is left out
         faults = [fault for fault in all_faults if getattr(fault, "device", None) in (None, *used_devices)]
         self.time = EmulatedClock(realtime)
         self.host_clock = HostClock(self.time)
@@ -115,15 +115,15 @@ class EmulatedBench:
         load = actuator_of(file, "load", merge_parameters(emulated.load, condition_changes))
         effects = [effect_of(entry) for entry in emulated.effects]
         bench = BenchParameters.from_mapping(emulated.bench)
-        expressible = all(set(own_hooks(effect)) <= set(RIG_HOOKS) for effect in effects)
+        suits_exact_rig = all(set(own_hooks(effect)) <= set(RIG_HOOKS) for effect in effects)
         self.rig: Rig | SteppedRig = (
             Rig(setup, test, load, bench, chosen_seed, effects)
-            if expressible
+            if suits_exact_rig
             else SteppedRig(setup, test, load, bench, effects)
         )
         self.time.follow(self.rig.advance)
         self._file, self._settings, self._seed = file, emulated, chosen_seed
-        self._streams_of_noise = 1
+        self._noise_stream_count = 1
         self.machines = {role: self._machine(role) for role in ("test", "load")}
         self.wires = {name: CanWire(self.time) for name, bus in file.buses.items() if isinstance(bus, CanBus)}
         self.i2c_buses = {
@@ -150,7 +150,7 @@ class EmulatedBench:
         return lambda: self.i2c_buses[name]
 
     def emulator_of(self, device: str) -> Any:
-        """Emulator of a device without a bus, which replaces the maker's library."""
+        """Return the emulator of a device without a bus, which replaces the maker's library."""
         return self.far_ends[device]
 
     def wait_for_disk(self) -> None:
@@ -167,7 +167,7 @@ class EmulatedBench:
         return lambda: EmulatedSerialLine(self.serial_wires[name])
 
     def at_supply(self, feeds: str, role: str) -> SupplyLoad:
-        """Load at the terminals of a power supply.
+        """Return the load at the terminals of a power supply.
 
         Raises
         ------
@@ -180,7 +180,7 @@ class EmulatedBench:
         return HeatedLeads(self.rig)
 
     def terminals(self, role: str) -> MotorTerminals:
-        """The three leads of this role's motor.
+        """Return the three leads of this role's motor.
 
         Raises
         ------
@@ -188,16 +188,16 @@ class EmulatedBench:
         """
         if role not in self.rig.actuators:
             raise InputError(f"the emulated bench has motors 'test' and 'load', not '{role}'")
-        settings, self._streams_of_noise = self._settings, self._streams_of_noise + 1
-        rng = np.random.default_rng([self._seed, self._streams_of_noise])
-        harmonics, noise = settings.back_emf_harmonics, settings.terminal_noise_V
-        leads = MotorTerminals(self.rig.actuators[role], harmonics, noise, rng)
+        settings, self._noise_stream_count = self._settings, self._noise_stream_count + 1
+        generator = np.random.default_rng([self._seed, self._noise_stream_count])
+        harmonics, voltage_noise = settings.back_emf_harmonics, settings.terminal_noise_V
+        leads = MotorTerminals(self.rig.actuators[role], harmonics, voltage_noise, generator)
         leads.sample(self.time.now())
         self.time.follow(leads.sample)
         return leads
 
     def machine(self, role: str) -> EmulatedMachine:
-        """The machine that the drive of this role turns.
+        """Return the machine that the drive of this role turns.
 
         Raises
         ------
@@ -216,8 +216,8 @@ class EmulatedBench:
         """
         rig, noise = self.rig, self._fresh_noise()
         if quantity == "torque" and role == "test":
-            spread = self._settings.torque_noise_Nm
-            return lambda: rig.shaft_torque + spread * noise()
+            torque_noise = self._settings.torque_noise_Nm
+            return lambda: rig.shaft_torque + torque_noise * noise()
         if quantity.endswith("_temperature"):
             return self._thermometer(quantity, role, location, noise)
         plain_readings: Mapping[str, Callable[[], float]] = {
@@ -236,17 +236,27 @@ class EmulatedBench:
             raise InputError(
                 f"the emulated bench has no {quantity_of_role}; it has {', '.join(TEMPERATURES)} of test and load"
             )
-        actuator, ambient, part = rig.actuators[role], rig.bench.ambient_temperature, location.partition("_")[0]
-        spread, offset, gain = settings.temperature_noise_K, settings.temperature_offset_K, settings.temperature_gain
+        actuator, ambient, winding_part = rig.actuators[role], rig.bench.ambient_temperature, location.partition("_")[0]
+        temperature_noise, offset, gain = (
+            settings.temperature_noise_K,
+            settings.temperature_offset_K,
+            settings.temperature_gain,
+        )
         if quantity == "ambient_temperature":
-            return lambda: ambient + offset + spread * noise()
-        if quantity == "winding_temperature" and part in PHASES_OF_PART:
-            return lambda: ambient + offset + gain * (rig.part_of_winding(role, part) - ambient) + spread * noise()
-        return lambda: ambient + offset + gain * (getattr(actuator, quantity) - ambient) + spread * noise()
+            return lambda: ambient + offset + temperature_noise * noise()
+        if quantity == "winding_temperature" and winding_part in PHASES_OF_PART:
+            return lambda: (
+                ambient
+                + offset
+                + gain * (rig.part_of_winding(role, winding_part) - ambient)
+                + temperature_noise * noise()
+            )
+        return lambda: ambient + offset + gain * (getattr(actuator, quantity) - ambient) + temperature_noise * noise()
 
     def _fresh_noise(self) -> Noise:
-        self._streams_of_noise += 1
-        return Noise(self._seed, self._streams_of_noise)
+        """Return noise that is independent of all noise before."""
+        self._noise_stream_count += 1
+        return Noise(self._seed, self._noise_stream_count)
 
     def _machine(self, role: str) -> EmulatedMachine:
         settings = self._settings
@@ -256,6 +266,7 @@ class EmulatedBench:
         )
 
     def _attach(self, device: CheckedDevice, has_faults: bool) -> None:
+        """Make the emulator of a device and connect it to its wire, or to the clock if it has no bus."""
         entry = device.entry
         physics: Physics = self
         if has_faults:

@@ -1,4 +1,4 @@
-"""The `emulated:` block of a bench file: make its parameters and effects, and report every fault with its position.
+"""Make the parameters and effects of a bench file's `emulated:` block; report every fault with its position.
 
 The check makes the same objects as a run does, so that both accept and refuse the same blocks.
 """
@@ -19,26 +19,26 @@ from leactl.yamlfile import Document, Location
 
 
 def actuator_of(file: BenchFile, role: str, changes: Mapping[str, Any]) -> ActuatorParameters:
-    """Parameters of an emulated actuator: those of its motor file, overridden by `changes` of the bench file.
+    """Return the parameters of an emulated actuator: those of its motor file, with `changes` of the bench file.
 
     Raises
     ------
-    InputError : a parameter that is not known or out of its range.
+    InputError : a parameter is not known, or out of its range.
     """
-    name = file.motors.get("test" if role == "test" else "load", file.motors["test"])
-    motor, _document = load_motor(name)
+    motor_name = file.motors.get("test" if role == "test" else "load", file.motors["test"])
+    motor, _document = load_motor(motor_name)
     motor_parameters = motor.model_dump(include={parameter.name for parameter in fields(ActuatorParameters)})
     return ActuatorParameters.from_mapping(merge_parameters(motor_parameters, changes))
 
 
 def merge_parameters(parameters: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters overridden by `changes`; of nested ones such as `thermal`, those that `changes` does not name stay."""
-    nested = {
+    """Return parameters with `changes`; a nested mapping such as `thermal` keeps the values that are not changed."""
+    merged_mappings = {
         name: {**parameters[name], **value}
         for name, value in changes.items()
         if isinstance(value, Mapping) and isinstance(parameters.get(name), Mapping)
     }
-    return {**parameters, **changes, **nested}
+    return {**parameters, **changes, **merged_mappings}
 
 
 def effect_of(entry: Mapping[str, Any]) -> PlantEffect:
@@ -46,13 +46,13 @@ def effect_of(entry: Mapping[str, Any]) -> PlantEffect:
 
     Raises
     ------
-    InputError : an effect or a parameter that is not known, or a value out of its range.
+    InputError : an effect or a parameter is not known, or a value is out of its range.
     """
     if "effect" not in entry:
         return make_effect(str(entry.get("name")), {key: value for key, value in entry.items() if key != "name"})
-    unknown = [key for key in entry if key not in ("effect", "parameters")]
-    if unknown:
-        raise InputError(f"{unknown[0]}: unknown key; effect and parameters were expected")
+    unknown_keys = [key for key in entry if key not in ("effect", "parameters")]
+    if unknown_keys:
+        raise InputError(f"{unknown_keys[0]}: unknown key; effect and parameters were expected")
     parameters = entry.get("parameters") or {}
     if not isinstance(parameters, Mapping):
         raise InputError(f"parameters: found {parameters!r}, expected values by name")
@@ -78,18 +78,19 @@ def check_emulated(file: BenchFile, devices: Sequence[CheckedDevice], document: 
 
 
 def _faults(file: BenchFile, document: Document) -> Iterator[str]:
+    """Yield the faults of actuators, conditions, bench and effects, each with its position."""
     emulated = file.emulated
     assert emulated is not None
     for role, changes in (("test", emulated.test), ("load", emulated.load)):
-        yield from _refused(document, ("emulated", role), partial(actuator_of, file, role, changes))
+        yield from _faults_of(document, ("emulated", role), partial(actuator_of, file, role, changes))
     for label, changes in emulated.conditions.items():
-        yield from _refused(document, ("emulated", "conditions", label), partial(actuator_of, file, "test", changes))
-    yield from _refused(document, ("emulated", "bench"), partial(BenchParameters.from_mapping, emulated.bench))
+        yield from _faults_of(document, ("emulated", "conditions", label), partial(actuator_of, file, "test", changes))
+    yield from _faults_of(document, ("emulated", "bench"), partial(BenchParameters.from_mapping, emulated.bench))
     for index, entry in enumerate(emulated.effects):
-        yield from _refused(document, ("emulated", "effects", index), partial(effect_of, entry))
+        yield from _faults_of(document, ("emulated", "effects", index), partial(effect_of, entry))
 
 
-def _refused(document: Document, location: Location, make: Callable[[], object]) -> Iterator[str]:
+def _faults_of(document: Document, location: Location, make: Callable[[], object]) -> Iterator[str]:
     """Yield the faults that `make` raises, each at the key that the message names, if the document has that key."""
     try:
         make()

@@ -1,4 +1,4 @@
-"""True parameters of a case, each of which differs from its nominal value, as on any bench."""
+"""True parameters of a case, most of which differ from their nominal values, as on any bench."""
 
 from dataclasses import dataclass, replace
 
@@ -27,7 +27,7 @@ RESISTANCE_COEFFICIENT_SPREAD = 0.004
 
 @dataclass(frozen=True)
 class Base:
-    """True parameters of both actuators and the bench, and the resistance coefficient of the nominal model."""
+    """True parameters of actuators and bench, and the resistance coefficient that the nominal model has."""
 
     test: ActuatorParameters
     load: ActuatorParameters
@@ -36,27 +36,29 @@ class Base:
 
 
 def draw_base(draw: Generator, nominal_coefficient: float) -> Base:
-    """Draw a bench; the load is another actuator of the same make, with different bearings."""
-    values = {
+    """Draw a bench; the load is an actuator like the test actuator, except for its bearings."""
+    motor_values = {
         name: getattr(NOMINAL, name) * _departure_factor(draw, spread) for name, spread in list(SPREADS.items())[:6]
     }
-    values["back_emf_constant"] = values["torque_constant"]
-    thermal = {
+    motor_values["back_emf_constant"] = motor_values["torque_constant"]
+    thermal_values = {
         name: getattr(NOMINAL.thermal, name) * _departure_factor(draw, spread)
         for name, spread in list(SPREADS.items())[6:]
     }
-    values["resistance_coefficient"] = nominal_coefficient * _departure_factor(draw, RESISTANCE_COEFFICIENT_SPREAD)
-    test = replace(NOMINAL, thermal=ThermalParameters(**thermal), **values)
+    motor_values["resistance_coefficient"] = nominal_coefficient * _departure_factor(
+        draw, RESISTANCE_COEFFICIENT_SPREAD
+    )
+    test = replace(NOMINAL, thermal=ThermalParameters(**thermal_values), **motor_values)
     load = replace(
         test,
         viscous_damping=NOMINAL.viscous_damping * _departure_factor(draw, SPREADS["viscous_damping"]),
         coulomb_friction=NOMINAL.coulomb_friction * _departure_factor(draw, SPREADS["coulomb_friction"]),
     )
     nominal_stiffness = BenchParameters().shaft_stiffness
-    departure = float(draw.choice([-1, 1]) * draw.uniform(0.01, 0.14))
+    stiffness_departure = float(draw.choice([-1, 1]) * draw.uniform(0.01, 0.14))
     bench = replace(
         BenchParameters(),
-        shaft_stiffness=nominal_stiffness * (1.0 + departure),
+        shaft_stiffness=nominal_stiffness * (1.0 + stiffness_departure),
         shaft_damping_ratio=float(draw.uniform(0.02, 0.035)),
         ambient_temperature=float(draw.uniform(18.0, 28.0)),
     )
@@ -72,7 +74,7 @@ def _departure_factor(draw: Generator, spread: float) -> float:
 
 
 def nominal_text(base: Base) -> str:
-    """Text of the nominal model file, which is stored with the runs."""
+    """Return the text of the nominal model file, which is stored with the runs."""
     motor, bench, thermal = NOMINAL, BenchParameters(), NOMINAL.thermal
     return f"""\
 name: lea-nominal

@@ -1,4 +1,4 @@
-"""Numbers of cases of each kind, names drawn in turn, and a check of the folders to write to."""
+"""Number of cases of each kind, names drawn in turn, and a check of the arguments that they are made with."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 KINDS = ("none", "single", "pair", "unknown")
-SHARES = {"none": 0.2, "single": 0.5, "pair": 0.15, "unknown": 0.15}  # of the kinds
+SHARES = {"none": 0.2, "single": 0.5, "pair": 0.15, "unknown": 0.15}  # of the cases
 
 
 def faults_of(count: int, out: Path, key_dir: Path, kinds: Sequence[str]) -> list[str]:
-    """Reasons why the cases cannot be made with these arguments, one line each; empty if they can."""
+    """Return a line for each reason why the cases cannot be made with these arguments; empty if they can."""
     faults = [f"cases: {count} is not a number of cases; give 1 or more"] if count < 1 else []
     faults += [f"kind {name!r} is not known; known: {', '.join(KINDS)}" for name in kinds if name not in KINDS]
     faults += [] if kinds else [f"no kind given; known: {', '.join(KINDS)}"]
@@ -23,16 +23,16 @@ def faults_of(count: int, out: Path, key_dir: Path, kinds: Sequence[str]) -> lis
 
 
 def counts(count: int, kinds: Sequence[str]) -> dict[str, int]:
-    """Number of cases of each kind, in their usual shares."""
+    """Return the number of cases of each kind, in their usual shares; the numbers add up to `count`."""
     shares = np.array([SHARES[kind] for kind in kinds])
-    exact = count * shares / shares.sum()
-    numbers = np.floor(exact).astype(int)
-    for k in np.argsort(numbers - exact)[: count - int(numbers.sum())]:
+    exact_numbers = count * shares / shares.sum()
+    numbers = np.floor(exact_numbers).astype(int)
+    for k in np.argsort(numbers - exact_numbers)[: count - int(numbers.sum())]:
         numbers[k] += 1
     return dict(zip(kinds, numbers.tolist(), strict=True))
 
 
 def in_turn(draw: np.random.Generator, names: Sequence[str]) -> Iterator[str]:
-    """Yield the names without end, each before any comes twice, in an order that is drawn again for each round."""
+    """Yield the names in endless rounds; each round has every name once, in an order that is drawn anew."""
     while True:
         yield from (str(name) for name in draw.permutation(list(names)))

@@ -16,7 +16,7 @@ from leactl.emulation.plant.stepped.sensors import Sensors
 from leactl.quantities import ChannelSpec
 from leactl.runfile.write.writer import RunInfo, RunWriter
 
-CREATED = "2026-01-01T00:00:00Z"  # the same for all, so that a seed gives the same files and no date tells a batch
+CREATED = "2026-01-01T00:00:00Z"  # of every case: files depend on the seed alone, and no date tells a batch
 LOOP_CHANNELS = {
     "current_reference": ChannelSpec("current_reference", "q_axis_current_reference", "test", "drive_test"),
     "current": ChannelSpec("current", "q_axis_current", "test", "drive_test", sampling="mean"),
@@ -40,7 +40,7 @@ SUPPLY_CHANNELS = {
 
 
 def write_model(folder: Path, case: BlindCase) -> None:
-    """Write `nominal.yaml`."""
+    """Write the nominal model of a case as `nominal.yaml`."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "nominal.yaml").write_text(nominal_text(case.base), encoding="utf-8")
 
@@ -80,23 +80,23 @@ def _write(
         created=CREATED,
         sources={"model": nominal_text(case.base)},
     )
-    named = {
+    specs_by_stream = {
         stream: [spec for name, spec in specs.items() if name in channels]
         for stream, (specs, channels) in streams.items()
     }
-    with RunWriter(folder, info, named) as writer:
+    with RunWriter(folder, info, specs_by_stream) as writer:
         for stream, (_, channels) in streams.items():
-            block = np.column_stack([channels[spec.name] for spec in named[stream]])
+            block = np.column_stack([channels[spec.name] for spec in specs_by_stream[stream]])
             writer.append(stream, channels["time"], block)
     writer.path.rename(folder / f"{run.name}.h5")
 
 
 def entry(case: BlindCase) -> dict[str, Any]:
-    """Entry of the key for a case; effects outside the vocabulary count as `unknown`; `unlisted` has their names."""
-    named = [planted for planted in case.effects if case.kind != "unknown"]
+    """Return a case's entry of the key; effects outside the vocabulary are `unknown`, with names in `unlisted`."""
+    known_effects = [planted for planted in case.effects if case.kind != "unknown"]
     return {
         "kind": case.kind,
-        "effects": ["unknown"] if case.kind == "unknown" else [planted.name for planted in named],
+        "effects": ["unknown"] if case.kind == "unknown" else [planted.name for planted in known_effects],
         "unlisted": [planted.name for planted in case.effects if case.kind == "unknown"],
         "strength": case.effects[0].strength if case.effects else None,
         "parameters": {planted.name: dict(planted.parameters) for planted in case.effects},
@@ -105,13 +105,13 @@ def entry(case: BlindCase) -> dict[str, Any]:
 
 
 def _true_base(case: BlindCase) -> dict[str, float]:
-    """True parameters under the names of the model file; names of nested ones are dotted."""
+    """Return the true parameters by their names in the model file; names of nested parameters have dots."""
     base = case.base
     test: dict[str, Any] = asdict(base.test)
     thermal = test.pop("thermal")
-    plain = {name: value for name, value in test.items() if isinstance(value, float)}
+    motor_values = {name: value for name, value in test.items() if isinstance(value, float)}
     return {
-        **plain,
+        **motor_values,
         **{f"thermal.{name}": value for name, value in thermal.items()},
         "bench.shaft_stiffness": base.bench.shaft_stiffness,
         "load.viscous_damping": base.load.viscous_damping,

@@ -32,39 +32,43 @@ def make(
     prefix: str = "case",
     progress: Callable[[str], None] = lambda _: None,
 ) -> str:
-    """Make cases in `out`, each in its own folder, and their key in `key_dir`; returns the key's hash.
+    """Make cases in `out`, each in its own folder, and their key in `key_dir`; return the key's hash.
 
     Parameters
     ----------
-    seed : the same seed and arguments give the same values; without a seed, fresh entropy is used.
-    kinds : of `none`, `single`, `pair` and `unknown`, drawn in their usual shares.
+    seed : the same seed and arguments give the same cases; None draws a seed from the system's entropy.
+    kinds : some of `none`, `single`, `pair` and `unknown`, drawn in their usual shares.
     effects : identifiers that may be drawn; by default all that this bench may have. Single effects are drawn in turn,
         each before any comes twice.
-    strengths : of `faint`, `plain` and `strong`.
+    strengths : some of `faint`, `plain` and `strong`.
 
     Raises
     ------
     InputError : an argument names an unknown kind, effect or strength, or a folder is not empty.
     """
-    chosen = tuple(effects) if effects else usual_effects()
-    _check(count, out, key_dir, kinds, chosen, strengths)
+    chosen_effects = tuple(effects) if effects else usual_effects()
+    _check(count, out, key_dir, kinds, chosen_effects, strengths)
     seed_number = secrets.randbits(128) if seed is None else seed
-    draw = np.random.default_rng([seed_number, 0])
-    plans = _plans(draw, count, kinds, chosen, strengths)
+    plan_generator = np.random.default_rng([seed_number, 0])
+    plans = _plans(plan_generator, count, kinds, chosen_effects, strengths)
     digits = max(3, len(str(count)))
     entries: dict[str, Any] = {}
     out.mkdir(parents=True, exist_ok=True)
-    began = time.monotonic()
-    for start in range(0, count, CASES_AT_ONCE):
-        time_left = f", about {(time.monotonic() - began) / start * (count - start) / 60:.1f} min left" if start else ""
-        progress(f"{start} of {count} cases made{time_left}")
+    start_time = time.monotonic()
+    for first_case in range(0, count, CASES_AT_ONCE):
+        time_left = (
+            f", about {(time.monotonic() - start_time) / first_case * (count - first_case) / 60:.1f} min left"
+            if first_case
+            else ""
+        )
+        progress(f"{first_case} of {count} cases made{time_left}")
         batch = [
             draw_case(np.random.default_rng([seed_number, 1, k]), f"{prefix}-{k + 1:0{digits}d}", *plans[k])
-            for k in range(start, min(start + CASES_AT_ONCE, count))
+            for k in range(first_case, min(first_case + CASES_AT_ONCE, count))
         ]
         write([out / case.name for case in batch], batch)
         entries |= {case.name: entry(case) for case in batch}
-    salt = secrets.token_hex(16) if seed is None else bytes(draw.integers(0, 256, 16, np.uint8)).hex()
+    salt = secrets.token_hex(16) if seed is None else bytes(plan_generator.integers(0, 256, 16, np.uint8)).hex()
     return write_key(key_dir, out, entries, seed_number, salt)
 
 
@@ -72,16 +76,16 @@ def _check(
     count: int, out: Path, key_dir: Path, kinds: Sequence[str], effects: Sequence[str], strengths: Sequence[str]
 ) -> None:
     faults = faults_of(count, out, key_dir, kinds)
-    for argument, names, known_names in (
+    for argument, given_names, known_names in (
         ("effect", effects, effects_on("bench")),
         ("strength", strengths, tuple(STRENGTHS)),
     ):
         faults += [
             f"{argument} {name!r} is not known; known: {', '.join(known_names)}"
-            for name in names
+            for name in given_names
             if name not in known_names
         ]
-        faults += [] if names else [f"no {argument} given; known: {', '.join(known_names)}"]
+        faults += [] if given_names else [f"no {argument} given; known: {', '.join(known_names)}"]
     if "pair" in kinds and len(set(effects)) < 2:
         faults.append("a pair needs two effects to be drawn from; give more, or leave out the kind pair")
     if faults:
@@ -91,11 +95,11 @@ def _check(
 def _plans(
     draw: np.random.Generator, count: int, kinds: Sequence[str], effects: Sequence[str], strengths: Sequence[str]
 ) -> list[tuple[str, tuple[str, ...], str]]:
-    """Draw kind, effects and strength of each case, in random order."""
+    """Draw kind, names of effects and strength of each case; the cases are in random order."""
     singles, unknowns = in_turn(draw, effects), in_turn(draw, tuple(unlisted_effects()))
     plans: list[tuple[str, tuple[str, ...], str]] = []
-    for kind, number in counts(count, kinds).items():
-        for _ in range(number):
+    for kind, kind_count in counts(count, kinds).items():
+        for _ in range(kind_count):
             names: tuple[str, ...] = ()
             if kind == "single":
                 names = (next(singles),)
@@ -113,15 +117,15 @@ def write(folders: Sequence[Path], batch: Sequence[BlindCase]) -> None:
     for folder, case in cases:
         write_model(folder, case)
     runs = [(folder, case, run) for folder, case in cases for run in case.runs]
-    moving = [
+    moving_runs = [
         (folder, case, run, run.program) for folder, case, run in runs if isinstance(run.program, DriveReferences)
     ]
-    heated = [
+    heated_runs = [
         (folder, case, run, run.program) for folder, case, run in runs if not isinstance(run.program, DriveReferences)
     ]
-    signals = simulate([run.lane for _, _, run, _ in moving], [program for *_, program in moving])
-    for (folder, case, run, _), signal in zip(moving, signals, strict=True):
-        write_moving(folder, case, run, signal)
-    records = heat([run.lane for _, _, run, _ in heated], [current for *_, current in heated])
-    for (folder, case, run, _), record in zip(heated, records, strict=True):
-        write_heated(folder, case, run, record)
+    moving_signals = simulate([run.lane for _, _, run, _ in moving_runs], [program for *_, program in moving_runs])
+    for (folder, case, run, _), moving_signal in zip(moving_runs, moving_signals, strict=True):
+        write_moving(folder, case, run, moving_signal)
+    heated_signals = heat([run.lane for _, _, run, _ in heated_runs], [current for *_, current in heated_runs])
+    for (folder, case, run, _), heated_signal in zip(heated_runs, heated_signals, strict=True):
+        write_heated(folder, case, run, heated_signal)

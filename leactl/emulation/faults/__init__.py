@@ -1,7 +1,7 @@
 """Faults that an emulated bench rehearses: the concrete subclasses of `Fault` in the modules of this package.
 
 Each has the name that bench files give it, and fields for its parameters. To add a fault, add its class to the module
-of its family, or a module of its own: the package is listed, and nothing else is edited.
+of its family or to a new module of this package: `known_faults` finds it.
 """
 
 import importlib
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 
 def known_faults() -> "dict[str, type[Fault]]":
-    """Map the name of each fault to its class, in the order of the names."""
+    """Return the class of each fault by its name, in the order of the names."""
     from leactl.emulation.faults.contract import Fault
 
     faults: dict[str, type[Fault]] = {}
-    for entry in pkgutil.iter_modules(__path__):
-        module = importlib.import_module(f"{__name__}.{entry.name}")
+    for module_info in pkgutil.iter_modules(__path__):
+        module = importlib.import_module(f"{__name__}.{module_info.name}")
         for member in vars(module).values():
             is_defined_here = isinstance(member, type) and member.__module__ == module.__name__
             if is_defined_here and issubclass(member, Fault) and not inspect.isabstract(member):
@@ -35,11 +35,11 @@ def known_faults() -> "dict[str, type[Fault]]":
 
 
 def find_fault(name: str) -> "type[Fault]":
-    """Find a fault class by name.
+    """Return the class of a fault.
 
     Raises
     ------
-    InputError : no such fault; the message names the known ones.
+    InputError : no fault has this name.
     """
     faults = known_faults()
     if name not in faults:
@@ -52,8 +52,8 @@ def make_fault(entry: Mapping[str, Any]) -> "Fault":
 
     Raises
     ------
-    InputError : no such fault, or the entry names none.
-    ValidationError : the parameters are not those of the fault.
+    InputError : the entry has no name of a fault, or no fault has its name.
+    ValidationError : the entry's parameters are not those of the fault.
     """
     if "fault" not in entry:
         raise InputError("is required and missing")
@@ -61,7 +61,7 @@ def make_fault(entry: Mapping[str, Any]) -> "Fault":
 
 
 def check_faults(file: "BenchFile", devices: "Sequence[CheckedDevice]", document: "Document") -> None:
-    """Check that each fault of a bench file fits the bench; the bench file's own checks cannot, without emulators.
+    """Raise if a fault of a bench file does not fit the bench; the file's own checks have no emulators to know.
 
     Raises
     ------
@@ -82,6 +82,6 @@ def check_faults(file: "BenchFile", devices: "Sequence[CheckedDevice]", document
         except ValidationError as error:
             lines += document.explain(error, location)
             continue
-        lines += [document.fault((*location, key), text) for key, text in misfits.items()]
+        lines += [document.fault((*location, key), reason) for key, reason in misfits.items()]
     if lines:
         raise InputError(lines)

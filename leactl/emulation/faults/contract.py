@@ -48,7 +48,7 @@ class PlannedBench(NamedTuple):
     devices: Mapping[str, CheckedDevice]
 
     def probe(self, device: str) -> tuple[Any, set[str]]:
-        """Make the device's emulator on a motionless bench; returns it and the quantities that it reads.
+        """Make the device's emulator on a motionless bench; return it and the quantities that it reads.
 
         Raises
         ------
@@ -63,7 +63,7 @@ class Drill(NamedTuple):
     """One rehearsal of a fault: its parameters without time, device and bus, and the expected end of the run."""
 
     parameters: Mapping[str, Any]
-    within_s: float  # longest time from the fault's beginning to the cycle that ends the run
+    within_s: float  # longest time from the beginning of the fault to the cycle that ends the run
     ended_by: str  # what has to end the run
     stays_on: bool = False  # the device keeps its power until its supply is switched off
 
@@ -71,10 +71,10 @@ class Drill(NamedTuple):
 class Fault(Block, ABC):
     """A fault; the first sentence of a subclass says what it is on a real bench, its fields are its parameters."""
 
-    fault_name: ClassVar[str]  # in bench files: `fault: NAME`
-    example: ClassVar[str]  # an entry of `emulated: faults:`, on the shipped bench where that has what it needs
-    inactive_when_served: ClassVar[str] = ""  # why it does nothing on a bench that is served to another process
-    not_drilled: ClassVar[str] = ""  # why it is no part of `leactl safety drill`
+    fault_name: ClassVar[str]  # its name in bench files: `fault: NAME`
+    example: ClassVar[str]  # an entry of `emulated: faults:`, if possible for the shipped bench
+    inactive_when_served: ClassVar[str] = ""  # why the fault does nothing on a bench that is served to another process
+    not_drilled: ClassVar[str] = ""  # why the fault is no part of `leactl safety drill`
 
     fault: str = Field(description="name of the fault")
     at_s: Annotated[float, Field(strict=True, ge=0, le=1e9, allow_inf_nan=False)] = Field(
@@ -83,7 +83,7 @@ class Fault(Block, ABC):
 
     @classmethod
     def described(cls, name: str) -> dict[str, Any]:
-        """Describe the fault for a user: summary, parameters with defaults, and an example entry of a bench file."""
+        """Return a description for a user: summary, parameters with defaults, and an example entry of a bench file."""
         parameters = {
             key: (field.description or "") + ("" if field.is_required() else _unless_given(field.default))
             for key, field in cls.model_fields.items()
@@ -94,7 +94,7 @@ class Fault(Block, ABC):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """Rehearsals of the fault on a bench; each is made on every device or bus that it fits."""
+        """Return the rehearsals of the fault on a bench; each is made on every device or bus that it fits."""
         return ()
 
     @property
@@ -103,12 +103,12 @@ class Fault(Block, ABC):
         return math.inf
 
     def misfits(self, planned_bench: PlannedBench) -> dict[str, str]:
-        """Parameters that do not fit the bench, each with the reason; empty if all fit."""
+        """Return the reason by parameter for each parameter that does not fit the bench; empty if all fit."""
         return {}
 
     @abstractmethod
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Start the fault; returns a function that ends it."""
+        """Start the fault; return a function that ends it."""
 
 
 class LastingFault(Fault):
@@ -128,9 +128,9 @@ class OfBus(LastingFault):
     bus: str = Field(description="name of the CAN bus")
 
     def misfits(self, planned_bench: PlannedBench) -> dict[str, str]:
-        """Reason if `bus` is not the name of a CAN bus."""
-        buses = [name for name, bus in planned_bench.file.buses.items() if isinstance(bus, CanBus)]
-        return {} if self.bus in buses else {"bus": f"'{self.bus}' is no CAN bus of the bench; {_known(buses)}"}
+        """Return the reason if `bus` is not the name of a CAN bus."""
+        bus_names = [name for name, bus in planned_bench.file.buses.items() if isinstance(bus, CanBus)]
+        return {} if self.bus in bus_names else {"bus": f"'{self.bus}' is no CAN bus of the bench; {_known(bus_names)}"}
 
 
 class OfFrames(OfBus):
@@ -140,8 +140,8 @@ class OfFrames(OfBus):
     direction: Direction = Field("both", description="both, to_devices or to_host")
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Apply the fault to every frame of the direction, at random with the probability `share`."""
-        # whether frames of the direction that is not affected come from a host
+        """Apply the fault to frames of the direction with the probability `share`; return a function that ends it."""
+        # True: frames from a host are not affected; False: those of devices; None: all are
         spared_source = {"both": None, "to_devices": False, "to_host": True}[self.direction]
 
         def delay_of_frame(_frame: Frame, source: CanEmulator | None) -> float | None:
@@ -163,7 +163,7 @@ class OfDevice(Fault):
     device: str = Field(description="name of the device")
 
     def misfits(self, planned_bench: PlannedBench) -> dict[str, str]:
-        """Reason if `device` is not a device of the bench, or is of another kind than the fault needs."""
+        """Return the reason if `device` is not a device of the bench, or is of another kind than the fault needs."""
         if self.device not in planned_bench.devices:
             return {"device": f"'{self.device}' is no device of the bench; {_known(planned_bench.devices)}"}
         try:
@@ -173,19 +173,19 @@ class OfDevice(Fault):
 
     @abstractmethod
     def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
-        """Parameters that do not fit this device, each with the reason; empty if all fit."""
+        """Return the reason by parameter for each parameter that does not fit this device; empty if all fit."""
 
     def misfit_if_unread(self, quantity: str, quantities: set[str]) -> dict[str, str]:
-        """Reason if the device does not read the quantity."""
-        text = f"{self.device} reads no {quantity}; {_known(sorted(quantities))}"
-        return {} if quantity in quantities else {"quantity": text}
+        """Return the reason if the device does not read the quantity."""
+        reason = f"{self.device} reads no {quantity}; {_known(sorted(quantities))}"
+        return {} if quantity in quantities else {"quantity": reason}
 
 
 class OfDrive(OfDevice):
     """A fault inside a drive."""
 
     def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
-        """Reason if the device's emulator is not a drive that can fail."""
+        """Return the reason if the device's emulator is not a drive that can fail."""
         return {} if isinstance(far_end, Breakable) else {"device": f"'{self.device}' is no drive that can fail so"}
 
 
@@ -195,12 +195,12 @@ class OfPowerSupply(OfDevice, LastingFault):
     not_drilled = "no run of the drill switches a power supply on, and one that is off can fail in neither way"
 
     def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
-        """Reason if the device's emulator is not a supply that can fail."""
-        fails = isinstance(far_end, FailingSupply)
-        return {} if fails else {"device": f"'{self.device}' is no power supply that can fail so"}
+        """Return the reason if the device's emulator is not a supply that can fail."""
+        can_fail = isinstance(far_end, FailingSupply)
+        return {} if can_fail else {"device": f"'{self.device}' is no power supply that can fail so"}
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Start the supply's failure; the returned function repairs the supply."""
+        """Start the supply's failure; return a function that ends it."""
         supply: FailingSupply = bench.far_ends[self.device]
         self.strike(supply)
         return supply.mend
@@ -216,11 +216,11 @@ class OfSensor(OfDevice, LastingFault):
     quantity: str = Field(description="what the device reads: torque, q_axis_current, velocity, angle, bus_voltage")
 
     def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
-        """Reason if the device does not read the quantity."""
+        """Return the reason if the device does not read the quantity."""
         return self.misfit_if_unread(self.quantity, quantities)
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Change the reading between the plant and the device."""
+        """Change the reading between the plant and the device; return a function that ends the change."""
         return bench.signals[self.device].change(self.quantity, self.faulty_reading(draw))
 
     @abstractmethod
@@ -234,26 +234,32 @@ class OfSupply(LastingFault):
     bus_voltage_V: Positive = Field(description="DC link voltage meanwhile")  # noqa: N815 (a unit keeps its letter)
 
     def misfits(self, planned_bench: PlannedBench) -> dict[str, str]:
-        """Reason if the voltage is not on the required side of the bench's own."""
+        """Return the reason if the voltage is not on the required side of the bench's nominal voltage."""
         parameters = planned_bench.file.emulated.bench if planned_bench.file.emulated else {}
-        usual = BenchParameters.from_mapping(parameters).bus_voltage
-        text = self.misfit_of(usual)
-        return {"bus_voltage_V": f"{self.bus_voltage_V:g} V is not {text} the bench's {usual:g} V"} if text else {}
+        nominal_voltage = BenchParameters.from_mapping(parameters).bus_voltage
+        required_side = self.misfit_of(nominal_voltage)
+        return (
+            {"bus_voltage_V": f"{self.bus_voltage_V:g} V is not {required_side} the bench's {nominal_voltage:g} V"}
+            if required_side
+            else {}
+        )
 
     @abstractmethod
-    def misfit_of(self, usual: float) -> str:
-        """Text for the required side of the bench's voltage, if the fault's is not there; else empty."""
+    def misfit_of(self, nominal_voltage: float) -> str:
+        """Return the word for the required side of the nominal voltage [V] if the fault's is not there; else empty."""
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Set the DC link voltage."""
-        usual = bench.rig.bench.bus_voltage
+        """Set the DC link voltage; return a function that sets the previous one again."""
+        previous_voltage = bench.rig.bench.bus_voltage
         bench.rig.supply(self.bus_voltage_V)
-        return lambda: bench.rig.supply(usual)
+        return lambda: bench.rig.supply(previous_voltage)
 
 
 def _known(names: Any) -> str:
+    """Return the text that lists what the bench or device has."""
     return f"it has {', '.join(names) or 'none'}"
 
 
 def _unless_given(default: Any) -> str:
+    """Return the text of a parameter's default; empty if it is None."""
     return "" if default is None else f" (default {str(default).lower()})"

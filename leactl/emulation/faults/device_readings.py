@@ -1,4 +1,4 @@
-"""The readings that one device takes of the bench, each open to sensor faults."""
+"""The readings that one device takes of the bench, to which sensor faults can be applied."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,19 +12,19 @@ Change = Callable[[float], float]
 
 
 class DeviceSignals:
-    """The plant as one device reads it, with sensor faults; `changes` has a key for each quantity asked for."""
+    """The plant as one device reads it, with sensor faults; the keys of `changes` are the quantities asked for."""
 
     def __init__(self, physics: Physics) -> None:
         self._physics = physics
         self.changes: dict[str, list[Change]] = {}
 
     def change(self, quantity: str, change: Change) -> Callable[[], None]:
-        """Apply a fault to a quantity; returns a function that removes it."""
+        """Apply a fault to a quantity; return a function that removes it."""
         self.changes[quantity].append(change)
         return lambda: self.changes[quantity].remove(change)
 
     def machine(self, role: str) -> Machine:
-        """The machine that the drive of this role turns, as this device reads it."""
+        """Return the machine that the drive of this role turns, as this device reads it."""
         return _ReadMachine(self._physics.machine(role), self)
 
     def reading(self, quantity: str, role: str, location: str = "") -> Callable[[], float]:
@@ -32,15 +32,15 @@ class DeviceSignals:
         return self.changed(quantity, self._physics.reading(quantity, role, location))
 
     def at_supply(self, feeds: str, role: str) -> SupplyLoad:
-        """Load at the terminals of a power supply; the supply's own meters are read without sensor faults."""
+        """Return the load at a power supply's terminals; the supply's meters have no sensor faults."""
         return self._physics.at_supply(feeds, role)
 
     def terminals(self, role: str) -> Terminals:
-        """The three leads of this role's motor as the device reads them."""
+        """Return the three leads of this role's motor as the device reads them."""
         return _ReadTerminals(self._physics.terminals(role), self)
 
     def changed(self, quantity: str, read: Callable[[], float]) -> Callable[[], float]:
-        """Return a function that reads a value and applies its faults."""
+        """Return a function that reads a quantity's value and applies its faults."""
         changes = self.changes.setdefault(quantity, [])
 
         def reading() -> float:
@@ -57,18 +57,18 @@ class _ReadMachine:
 
     def __init__(self, machine: Machine, signals: DeviceSignals) -> None:
         self.command = machine.command
-        self._read, self._now = machine.read, (0.0, 0.0, 0.0)
+        self._read, self._true_motion = machine.read, (0.0, 0.0, 0.0)
         self._motion = [
-            signals.changed("q_axis_current", lambda: self._now[0]),
-            signals.changed("velocity", lambda: self._now[1]),
-            signals.changed("angle", lambda: self._now[2]),
+            signals.changed("q_axis_current", lambda: self._true_motion[0]),
+            signals.changed("velocity", lambda: self._true_motion[1]),
+            signals.changed("angle", lambda: self._true_motion[2]),
         ]
         self._bus_voltage = signals.changed("bus_voltage", lambda: machine.bus_voltage)
         self._voltage = signals.changed("q_axis_voltage", lambda: machine.voltage)
 
     def read(self) -> tuple[float, float, float]:
-        """Current [A], velocity [rad/s] and angle [rad]."""
-        self._now = self._read()
+        """Return current [A], velocity [rad/s] and angle [rad]."""
+        self._true_motion = self._read()
         current, velocity, angle = self._motion
         return current(), velocity(), angle()
 
@@ -91,7 +91,7 @@ class _ReadTerminals:
         self._changes = [signals.changes.setdefault(quantity, []) for quantity in PAIRS]
 
     def voltages(self, times: NDArray[np.float64], pair: int) -> NDArray[np.float64]:
-        """Voltages [V] of a pair of leads."""
+        """Return the voltages [V] of a pair of leads at some times [s]."""
         voltages = self._terminals.voltages(times, pair)
         for change in self._changes[pair]:
             voltages = np.array([change(value) for value in voltages.tolist()])

@@ -7,7 +7,7 @@ from leactl.bench.benchfile import BenchFile, CheckedDevice
 from leactl.emulation.faults import find_fault, known_faults
 from leactl.emulation.faults.contract import Drill, Fault, PlannedBench
 
-ANY_TIME_S = 0.0  # whether a fault fits a bench does not depend on its time
+ANY_TIME_S = 0.0  # of the fault; whether it fits the bench does not depend on this time
 
 
 class FaultRehearsal(NamedTuple):
@@ -31,36 +31,41 @@ class FaultRehearsal(NamedTuple):
 def rehearsals(
     file: BenchFile, devices: Sequence[CheckedDevice], only: Collection[str] = ()
 ) -> tuple[list[FaultRehearsal], dict[str, str]]:
-    """List the rehearsals of all faults, or of those named in `only`, and the reasons why other faults are left out.
+    """Return the rehearsals of all faults, or of those named in `only`, and why each fault without any is left out.
 
     Raises
     ------
     InputError : a name in `only` is not that of a fault.
     """
     planned_bench = PlannedBench(file, {device.name: device for device in devices})
-    chosen = {name: find_fault(name) for name in only} or known_faults()
+    chosen_faults = {name: find_fault(name) for name in only} or known_faults()
     rehearsed: list[FaultRehearsal] = []
-    left_out: dict[str, str] = {}
-    for name, kind in sorted(chosen.items()):
-        if kind.not_drilled:
-            left_out[name] = kind.not_drilled
+    reasons_left_out: dict[str, str] = {}
+    for name, fault_class in sorted(chosen_faults.items()):
+        if fault_class.not_drilled:
+            reasons_left_out[name] = fault_class.not_drilled
             continue
-        fitting = [item for drill in kind.drills(file) for item in _fitting(name, kind, drill, planned_bench)]
-        rehearsed += fitting
-        if not fitting:
-            left_out[name] = "no device of this bench that it could happen to"
-    return rehearsed, left_out
+        rehearsals_of_fault = [
+            rehearsal
+            for drill in fault_class.drills(file)
+            for rehearsal in _fitting(name, fault_class, drill, planned_bench)
+        ]
+        rehearsed += rehearsals_of_fault
+        if not rehearsals_of_fault:
+            reasons_left_out[name] = "no device of this bench that it could happen to"
+    return rehearsed, reasons_left_out
 
 
-def _fitting(name: str, kind: type[Fault], drill: Drill, planned_bench: PlannedBench) -> list[FaultRehearsal]:
+def _fitting(name: str, fault_class: type[Fault], drill: Drill, planned_bench: PlannedBench) -> list[FaultRehearsal]:
+    """Return one rehearsal for each device or bus that the drill fits."""
     targets: list[dict[str, Any]] = [{}]
-    if "device" in kind.model_fields:
+    if "device" in fault_class.model_fields:
         targets = [{"device": device} for device in planned_bench.devices]
-    elif "bus" in kind.model_fields:
+    elif "bus" in fault_class.model_fields:
         targets = [{"bus": bus} for bus in planned_bench.file.buses]
     entries = [{"fault": name, **target, **drill.parameters} for target in targets]
     return [
         FaultRehearsal(name, entry, drill)
         for entry in entries
-        if not kind.model_validate({**entry, "at_s": ANY_TIME_S}).misfits(planned_bench)
+        if not fault_class.model_validate({**entry, "at_s": ANY_TIME_S}).misfits(planned_bench)
     ]

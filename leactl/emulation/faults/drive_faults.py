@@ -20,6 +20,7 @@ from leactl.emulation.faults.contract import (
 
 
 def _hexadecimal(value: Any) -> Any:
+    """Return the number of a hexadecimal text; pydantic checks any other value."""
     if isinstance(value, str) and value.lower().startswith("0x"):
         try:
             return int(value, 16)
@@ -41,11 +42,11 @@ class DriveFault(OfDrive):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """A short circuit."""
+        """Return one rehearsal: a short circuit."""
         return (Drill({"code": 0x2340}, 0.05, "the drive's emergency message"),)
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Put the drive into its fault state."""
+        """Put the drive into its fault state, which a reset ends."""
         bench.far_ends[self.device].fault(self.code)
         return lambda: None
 
@@ -58,11 +59,11 @@ class FrozenDrive(OfDrive, LastingFault):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """Each drive."""
+        """Return one rehearsal: the drive freezes."""
         return (Drill({}, 0.1, "cyclic_age_s", stays_on=True),)
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Freeze the drive."""
+        """Freeze the drive; return a function that unfreezes it."""
         far_end = bench.far_ends[self.device]
         far_end.freeze(True)
         return lambda: far_end.freeze(False)
@@ -78,18 +79,18 @@ class HeartbeatLoss(OfDevice, LastingFault):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """The heartbeat alone, and all frames that the drive sends."""
+        """Return two rehearsals: the heartbeat stays away, or all frames that the drive sends."""
         return Drill({}, 0.5, "the drive's heartbeat"), Drill({"answers": True}, 0.1, "cyclic_age_s")
 
     def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
-        """Reason if the device is not on a CAN bus or sends no heartbeat."""
+        """Return the reason if the device is not on a CAN bus or sends no heartbeat."""
         bus = planned_bench.file.buses.get(planned_bench.devices[self.device].entry.bus or "")
         if not isinstance(bus, CanBus):
             return {"device": f"'{self.device}' is not on a CAN bus"}
         return {} if isinstance(far_end, Living) else {"device": f"'{self.device}' sends no heartbeat"}
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Drop the heartbeats, or with `answers` all frames of the drive."""
+        """Drop the heartbeats, or with `answers` all frames of the drive; return a function that ends it."""
         drive = bench.far_ends[self.device]
 
         def delay_of_frame(frame: Frame, source: CanEmulator | None) -> float | None:

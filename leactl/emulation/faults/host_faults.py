@@ -22,11 +22,11 @@ class HostClockJump(Fault):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """Jumps of a second forward, a second back, and 0.05 s back."""
+        """Return three rehearsals: jumps of a second forward, a second back, and 0.05 s back."""
         return tuple(Drill({"jump_s": jump}, 0.05, "clock, or a heartbeat's age") for jump in (1.0, -1.0, -0.05))
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Shift the time that the host's clock shows."""
+        """Shift the time of the host's clock; nothing has to be undone."""
         bench.host_clock.ahead += self.jump_s
         return lambda: None
 
@@ -42,7 +42,7 @@ class SlowDisk(LastingFault):
     delay_s: Positive = Field(description="how long a write waits before it begins, in seconds of the wall clock")
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Delay every write of the run file from now on."""
+        """Delay every write of the run file from now on; return a function that ends it."""
         bench.disk_delay_s += self.delay_s
 
         def end() -> None:

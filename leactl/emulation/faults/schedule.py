@@ -1,4 +1,4 @@
-"""Begin and end the faults of a bench exactly at their times; emulated time stops at each of them."""
+"""Begin and end the faults of a bench exactly at their times, at which emulated time stops."""
 
 import heapq
 import math
@@ -14,25 +14,29 @@ class Schedule:
 
     def __init__(self, bench: FaultTarget, faults: Sequence[Fault], seed: int) -> None:
         self._pending: list[tuple[float, int, Callable[[], None]]] = []
-        self._count = 0
+        self._action_count = 0
         for index, fault in enumerate(faults):
-            self._at(fault.at_s, self._beginning(bench, fault, np.random.default_rng([seed, index])))
+            self._add(fault.at_s, self._beginning(bench, fault, np.random.default_rng([seed, index])))
         self._pass_time(bench.time.now())
         bench.time.follow(self._pass_time)
         bench.time.stop_at(lambda: self._pending[0][0] if self._pending else math.inf)
 
     def _beginning(self, bench: FaultTarget, fault: Fault, draw: np.random.Generator) -> Callable[[], None]:
+        """Return a function that begins the fault, and schedules its end if it has one."""
+
         def begin() -> None:
             end = fault.begin(bench, draw)
             if fault.ends_s < math.inf:
-                self._at(fault.ends_s, end)
+                self._add(fault.ends_s, end)
 
         return begin
 
-    def _at(self, moment: float, action: Callable[[], None]) -> None:
-        self._count += 1
-        heapq.heappush(self._pending, (moment, self._count, action))
+    def _add(self, time: float, action: Callable[[], None]) -> None:
+        """Schedule an action at a time [s]; actions of one time keep their order."""
+        self._action_count += 1
+        heapq.heappush(self._pending, (time, self._action_count, action))
 
     def _pass_time(self, now: float) -> None:
+        """Run the actions that are due at a time [s]."""
         while self._pending and self._pending[0][0] <= now:
             heapq.heappop(self._pending)[2]()

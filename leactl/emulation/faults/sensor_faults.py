@@ -32,7 +32,7 @@ class DisconnectedSensor(OfDevice, LastingFault):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """A converter, the torque sensor at a converter, and the current sensor of a drive."""
+        """Return three rehearsals: a converter, the torque sensor at a converter, and the current sensor of a drive."""
         return (
             Drill({}, 0.05, "the device's own bus"),
             Drill({"quantity": "torque"}, 2.1, "stuck_s or torque_disagreement"),
@@ -40,15 +40,15 @@ class DisconnectedSensor(OfDevice, LastingFault):
         )
 
     def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
-        """Reason if the device does not read the quantity, or, with no quantity, if it is not on an I2C bus."""
+        """Return the reason if the device does not read the quantity, or if none is set and its bus is not I2C."""
         if self.quantity is None:
             bus = planned_bench.file.buses.get(planned_bench.devices[self.device].entry.bus or "")
-            text = f"'{self.device}' is not on an I2C bus; name the quantity whose sensor is off, or use lost_frames"
-            return {} if isinstance(bus, I2cBus) else {"device": text}
+            reason = f"'{self.device}' is not on an I2C bus; name the quantity whose sensor is off, or use lost_frames"
+            return {} if isinstance(bus, I2cBus) else {"device": reason}
         return self.misfit_if_unread(self.quantity, quantities)
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Set the reading to zero, or silence the device."""
+        """Set the reading to zero, or silence the device; return a function that ends it."""
         if self.quantity is not None:
             return bench.signals[self.device].change(self.quantity, lambda _value: 0.0)
         silent, far_end = bench.i2c_buses[bench.bus_of[self.device]].silent, bench.far_ends[self.device]
@@ -64,20 +64,20 @@ class StuckSensor(OfSensor):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """Each reading whose noise makes successive samples differ, and the angle."""
+        """Return a rehearsal for the angle, and for each reading whose noise makes successive samples differ."""
         quantities = ("torque", "q_axis_current", "velocity", "angle")
         return tuple(Drill({"quantity": quantity}, 2.1, "stuck_s") for quantity in quantities)
 
     def faulty_reading(self, draw: Draw) -> Callable[[float], float]:
         """Return a function that repeats the first value."""
-        held: list[float] = []
+        first_values: list[float] = []
 
-        def hold(value: float) -> float:
-            if not held:
-                held.append(value)
-            return held[0]
+        def first_value(value: float) -> float:
+            if not first_values:
+                first_values.append(value)
+            return first_values[0]
 
-        return hold
+        return first_value
 
 
 class NoisySensor(OfSensor):
@@ -91,14 +91,18 @@ class NoisySensor(OfSensor):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """A torque with noise as large as its limit: one sample in three exceeds the limit."""
+        """Return one rehearsal: torque noise as large as the limit, which one sample in three then exceeds."""
         spread = file.limits.torque_Nm
         return (Drill({"quantity": "torque", "spread": spread, "unit": "N*m"}, 0.5, "limit of torque_Nm"),)
 
     def misfits(self, planned_bench: PlannedBench) -> dict[str, str]:
-        """Reasons of any sensor fault, and the reason if the unit is not the quantity's."""
-        faults, unit = super().misfits(planned_bench), UNITS.get(self.quantity, self.unit)
-        return faults if self.unit == unit else faults | {"unit": f"{self.quantity} is in {unit}, not in {self.unit}"}
+        """Return the reasons of any sensor fault, and the reason if the unit is not the quantity's."""
+        reasons, expected_unit = super().misfits(planned_bench), UNITS.get(self.quantity, self.unit)
+        return (
+            reasons
+            if self.unit == expected_unit
+            else reasons | {"unit": f"{self.quantity} is in {expected_unit}, not in {self.unit}"}
+        )
 
     def faulty_reading(self, draw: Draw) -> Callable[[float], float]:
         """Return a function that adds normal noise to a value."""
@@ -119,14 +123,14 @@ class SaturatedSensor(OfSensor):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """A torque at the end of its range, and a current."""
+        """Return two rehearsals: a torque and a current at the end of their ranges."""
         return (
             Drill({"quantity": "torque"}, 0.05, "the converter's saturation"),
             Drill({"quantity": "q_axis_current", "end": "low"}, 0.05, "limit of current_A"),
         )
 
     def misfits_of(self, planned_bench: PlannedBench, far_end: Any, quantities: set[str]) -> dict[str, str]:
-        """Reason if the quantity comes from an encoder, which has no range, or if the device does not read it."""
+        """Return the reason if the quantity is an encoder's, which has no range, or if the device does not read it."""
         if self.quantity in UNBOUNDED_QUANTITIES:
             return {"quantity": f"{self.quantity} comes from an encoder, which has no end of its range"}
         return super().misfits_of(planned_bench, far_end, quantities)
@@ -151,7 +155,7 @@ class ScaledSensor(OfSensor):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """A torque, and a current in milliampere."""
+        """Return two rehearsals: a torque times four, and a current in milliampere."""
         return (
             Drill({"quantity": "torque", "gain": 4.0}, 0.5, "torque_disagreement"),
             Drill({"quantity": "q_axis_current", "gain": 1000.0}, 0.05, "limit of current_A"),

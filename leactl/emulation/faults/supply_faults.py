@@ -17,12 +17,12 @@ class OverVoltage(OfSupply):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """A voltage a quarter above the limit."""
+        """Return one rehearsal: a voltage a quarter above the limit."""
         return (Drill({"bus_voltage_V": 1.25 * file.limits.bus_voltage_high_V}, 1.1, "limit of bus_voltage_high_V"),)
 
-    def misfit_of(self, usual: float) -> str:
-        """Text if the voltage is not above the bench's."""
-        return "" if self.bus_voltage_V > usual else "above"
+    def misfit_of(self, nominal_voltage: float) -> str:
+        """Return the word `above` if the voltage is not above the bench's nominal one [V]; else an empty text."""
+        return "" if self.bus_voltage_V > nominal_voltage else "above"
 
 
 class UnderVoltage(OfSupply):
@@ -33,12 +33,12 @@ class UnderVoltage(OfSupply):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """A voltage a quarter below the limit."""
+        """Return one rehearsal: a voltage a quarter below the limit."""
         return (Drill({"bus_voltage_V": 0.75 * file.limits.bus_voltage_low_V}, 1.1, "limit of bus_voltage_low_V"),)
 
-    def misfit_of(self, usual: float) -> str:
-        """Text if the voltage is not below the bench's."""
-        return "" if self.bus_voltage_V < usual else "below"
+    def misfit_of(self, nominal_voltage: float) -> str:
+        """Return the word `below` if the voltage is not below the bench's nominal one [V]; else an empty text."""
+        return "" if self.bus_voltage_V < nominal_voltage else "below"
 
 
 class SupplyOutOfRegulation(OfPowerSupply):

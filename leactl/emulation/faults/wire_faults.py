@@ -26,11 +26,11 @@ class BusOff(OfBus):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """The controller goes bus-off."""
+        """Return one rehearsal: the controller goes bus-off."""
         return (Drill({}, 0.05, "the bus itself"),)
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Disconnect the host from the bus."""
+        """Disconnect the host from the bus; return a function that connects it again."""
         wire = bench.wires[self.bus]
         wire.off = True
 
@@ -50,17 +50,17 @@ class CutLine(LastingFault):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """The cable is unplugged."""
+        """Return one rehearsal: the cable is unplugged."""
         return (Drill({}, 0.1, "cyclic_age_s"),)
 
     def misfits(self, planned_bench: PlannedBench) -> dict[str, str]:
-        """Reason if `bus` is not the name of a serial line or raw socket."""
-        lines = [name for name, bus in planned_bench.file.buses.items() if isinstance(bus, LineBus)]
-        reason = f"no serial line or raw socket of the bench; it has {', '.join(lines) or 'none'}"
-        return {} if self.bus in lines else {"bus": f"'{self.bus}' is {reason}"}
+        """Return the reason if `bus` is not the name of a serial line or raw socket."""
+        line_names = [name for name, bus in planned_bench.file.buses.items() if isinstance(bus, LineBus)]
+        reason = f"no serial line or raw socket of the bench; it has {', '.join(line_names) or 'none'}"
+        return {} if self.bus in line_names else {"bus": f"'{self.bus}' is {reason}"}
 
     def begin(self, bench: FaultTarget, draw: Draw) -> Undo:
-        """Unplug the cable."""
+        """Unplug the cable; return a function that plugs it in again."""
         wire = bench.serial_wires[self.bus]
         wire.cut = True
 
@@ -80,7 +80,7 @@ class LateFrames(OfFrames):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """Frames to the host that arrive later than a reading may be old."""
+        """Return one rehearsal: frames to the host arrive later than the allowed age of a reading."""
         return (Drill({"delay_s": 0.2, "direction": "to_host"}, 0.1, "cyclic_age_s"),)
 
     @property
@@ -97,10 +97,10 @@ class LostFrames(OfFrames):
 
     @classmethod
     def drills(cls, file: BenchFile) -> Sequence[Drill]:
-        """All frames, and those to the devices alone."""
+        """Return two rehearsals: all frames are lost, or those to the devices alone."""
         return Drill({}, 0.1, "cyclic_age_s"), Drill({"direction": "to_devices"}, 0.1, "cyclic_age_s")
 
     @property
     def frame_delay(self) -> float | None:
-        """None: a lost frame never arrives."""
+        """None, because a lost frame never arrives."""
         return None

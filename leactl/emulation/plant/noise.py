@@ -9,12 +9,12 @@ class Noise:
     def __init__(self, seed: int, stream: int = 0, block: int = 4096) -> None:
         self._generator = np.random.default_rng([seed, stream])
         self._block = block
-        self._ahead: list[float] = []
+        self._drawn_ahead: list[float] = []
 
     def __call__(self) -> float:
-        """One draw of mean 0 and standard deviation 1."""
+        """Return one draw of mean 0 and standard deviation 1."""
         try:
-            return self._ahead.pop()
+            return self._drawn_ahead.pop()
         except IndexError:
-            self._ahead = self._generator.standard_normal(self._block).tolist()
-            return self._ahead.pop()
+            self._drawn_ahead = self._generator.standard_normal(self._block).tolist()
+            return self._drawn_ahead.pop()

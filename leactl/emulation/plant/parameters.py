@@ -1,7 +1,7 @@
 """Parameters of the emulated plant: one actuator, its thermal network, and the bench around two of them.
 
 SI throughout, temperatures in degC, q axis, power-invariant transform. The defaults are the LEA of the paper; every
-field can be set, and a mapping that does not describe a plant is refused with every fault named.
+field can be set; a mapping that does not describe a plant raises one InputError that lists all its faults.
 """
 
 import math
@@ -13,12 +13,12 @@ from leactl.errors import InputError
 
 
 def bounded(default: float, low: float, high: float = math.inf) -> Any:
-    """Declare a number of a frozen dataclass with its range; both ends are allowed."""
+    """Declare a field of a frozen dataclass that is a number from `low` to `high`, both ends allowed."""
     return field(default=default, metadata={"low": low, "high": high})
 
 
 def switch(default: bool) -> Any:
-    """Declare a boolean of a frozen dataclass; a number or a word is refused."""
+    """Declare a field of a frozen dataclass that is true or false; numbers and words are faults."""
     return field(default=default, metadata={"switch": True})
 
 
@@ -31,23 +31,23 @@ def _not_negative(default: float) -> Any:
 
 
 class Checked:
-    """A dataclass that checks its numbers when it is made, and can be made from a mapping read from YAML."""
+    """Base class of dataclasses that check their fields when they are made, and can be made from a mapping of YAML."""
 
     def __post_init__(self) -> None:
         faults: list[str] = []
-        for item in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, item.name)
-            faults += _faults(item.name, value, item.metadata)
+        for parameter in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, parameter.name)
+            faults += _faults(parameter.name, value, parameter.metadata)
         if faults:
             raise InputError(faults)
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> Self:
-        """Make from a mapping of names to values; names left out keep their defaults.
+        """Make an object from a mapping of names to values; a name that is missing keeps its default.
 
         Raises
         ------
-        InputError : a name is unknown, or a value is no number, not finite or out of range; one line each.
+        InputError : one line for each unknown name and for each value that is no number, not finite or out of range.
         """
         parameters = {parameter.name: parameter for parameter in fields(cls)}  # type: ignore[arg-type]
         faults: list[str] = []
@@ -56,13 +56,13 @@ class Checked:
             if name not in parameters:
                 faults.append(f"{name}: unknown parameter; known are {', '.join(parameters)}")
                 continue
-            nested = parameters[name].default_factory
-            if nested is not MISSING and is_dataclass(nested) and not isinstance(value, Checked):
+            nested_class = parameters[name].default_factory
+            if nested_class is not MISSING and is_dataclass(nested_class) and not isinstance(value, Checked):
                 if not isinstance(value, Mapping):
                     faults.append(f"{name}: found {value!r}, expected parameters by name")
                     continue
                 try:
-                    value = nested.from_mapping(value)
+                    value = nested_class.from_mapping(value)
                 except InputError as error:
                     faults += [f"{name}.{fault}" for fault in error.faults]
                     continue
@@ -74,6 +74,7 @@ class Checked:
 
 
 def _faults(name: str, value: object, metadata: Mapping[str, Any]) -> list[str]:
+    """Return the fault of a parameter's value in a list, or an empty list; `metadata` are those of its field."""
     if "switch" in metadata and not isinstance(value, bool):
         return [f"{name}: found {value!r}, expected true or false"]
     if "low" not in metadata:
@@ -134,14 +135,14 @@ class ActuatorParameters(Checked):
 
     @property
     def lead_amplitude(self) -> float:
-        """Amplitude of the voltage between two leads over the power-invariant q-axis voltage.
+        """Amplitude of the voltage between two leads, divided by the power-invariant q-axis voltage.
 
-        A phase has sqrt(2/3) of it; two leads of a delta hold one phase, those of a wye the difference of two.
+        It is sqrt(2/3) of one phase, which is between two leads of a delta; between those of a wye are two phases.
         """
         return math.sqrt(2.0 / 3.0) if self.winding == "delta" else math.sqrt(2.0)
 
     def resistance(self, temperature: float) -> float:
-        """Phase resistance at a winding temperature [ohm]."""
+        """Return the phase resistance [ohm] at a winding temperature [degC]."""
         rise = temperature - self.reference_temperature
         return self.phase_resistance * (1.0 + self.resistance_coefficient * rise)
 
@@ -153,7 +154,7 @@ class BenchParameters(Checked):
     bus_voltage: float = _positive(29.6)  # V
     current_loop_bandwidth: float = _positive(450.0)  # Hz, first order
     setpoint_lead: float = bounded(0.0, 0.0, 1.0)  # share by which a drive's current setpoint counts for more at first
-    setpoint_lead_time: float = _positive(0.06)  # s, in which that fades
+    setpoint_lead_time: float = _positive(0.06)  # s, time constant with which the lead decays
     velocity_filter_bandwidth: float = _positive(250.0)  # Hz, first order
     torque_filter_bandwidth: float = _positive(265.0)  # Hz, first order
     shaft_stiffness: float = _positive(6000.0)  # N*m/rad, between test and load actuator
@@ -164,5 +165,5 @@ class BenchParameters(Checked):
     velocity_gain: float = _positive(200.0)  # 1/s, proportional, of an unloaded rotor
     velocity_integral: float = _not_negative(1000.0)  # 1/s^2
     ambient_temperature: float = bounded(25.0, -100.0, 200.0)  # degC
-    friction_heat: bool = switch(False)  # the paper leaves it out; where True it warms the housing
-    phase_resolved: bool = switch(False)  # three phase nodes for each winding in place of one
+    friction_heat: bool = switch(False)  # True: friction warms the housing, which the paper leaves out
+    phase_resolved: bool = switch(False)  # True: each winding has three phase nodes in place of one

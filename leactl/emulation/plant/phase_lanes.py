@@ -1,6 +1,6 @@
-"""Temperatures of many lanes at once without devices: currents and velocities in, the hottest phase over time out.
+"""Hottest phase of many lanes at once over given currents and velocities, without devices.
 
-For a Monte Carlo over protocols: the plant of the emulated bench with its phases resolved, without mechanics.
+It serves a Monte Carlo over protocols: it is the emulated bench's plant with resolved phases, without mechanics.
 """
 
 from collections.abc import Sequence
@@ -26,23 +26,23 @@ class PhaseLane(Checked):
 
 
 class PhaseLanes:
-    """Lanes with one constant interval; each `run` continues where the last one ended."""
+    """Lanes with one constant interval [s]; each call of `run` continues where the last one ended."""
 
     def __init__(self, lanes: Sequence[PhaseLane], interval_s: float = 0.01) -> None:
         actuators = [lane.actuator for lane in lanes]
         self.network = PhaseNetwork(actuators, [lane.ambient_temperature for lane in lanes])
         self._interval = interval_s
-        self._factor = np.array([lane.current_factor**2 for lane in lanes])
-        turns = np.array([float(a.pole_pairs) for a in actuators])
-        self._electrical_step = turns * interval_s
+        self._squared_current_factor = np.array([lane.current_factor**2 for lane in lanes])
+        pole_pairs = np.array([float(a.pole_pairs) for a in actuators])
+        self._electrical_angle_per_speed = pole_pairs * interval_s
         offsets = np.array([a.phases.commutation_offset for a in actuators])
-        self._angle = turns * [lane.angle for lane in lanes] + offsets  # rad, electrical
-        warms = np.array([float(lane.friction_heat) for lane in lanes])
-        self._damping = warms * [a.viscous_damping for a in actuators]
-        self._coulomb = warms * [a.coulomb_friction for a in actuators]
+        self._angle = pole_pairs * [lane.angle for lane in lanes] + offsets  # rad, electrical
+        has_friction_heat = np.array([float(lane.friction_heat) for lane in lanes])
+        self._damping = has_friction_heat * [a.viscous_damping for a in actuators]
+        self._coulomb = has_friction_heat * [a.coulomb_friction for a in actuators]
 
     def run(self, current: Array, velocity: Array, line_current: Array | None = None) -> Array:
-        """Hottest phase [degC] at the end of every interval, shape (intervals, lanes).
+        """Return the temperature of the hottest phase [degC] at the end of every interval, shape (intervals, lanes).
 
         `current` is the q-axis current as the drive reports it [A], `velocity` the rotor's [rad/s], `line_current` the
         direct current through two leads [A]; each is constant over its interval and has the shape of the result.
@@ -59,18 +59,20 @@ class PhaseLanes:
         return hottest
 
     def _squares(self, current: Array, velocity: Array) -> Array:
+        """Return the mean squared current of each phase [A^2], shape (phases, intervals, lanes); advance the angles."""
         angles = np.empty((len(velocity) + 1, velocity.shape[1]))
         angles[0] = self._angle
-        np.cumsum(velocity * self._electrical_step, axis=0, out=angles[1:])
+        np.cumsum(velocity * self._electrical_angle_per_speed, axis=0, out=angles[1:])
         angles[1:] += self._angle
         self._angle = np.remainder(angles[-1], 2.0 * np.pi)
-        return turning_squares(self._factor * current**2, angles[:-1], angles[1:])
+        return turning_squares(self._squared_current_factor * current**2, angles[:-1], angles[1:])
 
     def _step_through(self, squares: Array, friction: Array, hottest: Array) -> None:
+        """Step the network through squared currents [A^2] and friction heat [W]; write the hottest phase [degC]."""
         network, interval = self.network, self._interval
-        record = np.empty((len(hottest), *network.rises.shape))
-        warms = friction.any()
+        rises = np.empty((len(hottest), *network.rises.shape))
+        has_friction = friction.any()
         for k in range(len(hottest)):
-            network.step(interval, squares[:, k], friction[k] if warms else None)
-            record[k] = network.rises
-        np.add(record.max(axis=1), network.ambient, out=hottest)
+            network.step(interval, squares[:, k], friction[k] if has_friction else None)
+            rises[k] = network.rises
+        np.add(rises.max(axis=1), network.ambient, out=hottest)

@@ -15,9 +15,9 @@ class HeatedLeads:
         if self._rig.setup != "heated":
             return voltage, 0.0
         resistance = self._rig.lead_resistance
-        flowing = min(current, voltage / resistance)
-        self._rig.heater_current = flowing
-        return flowing * resistance, flowing
+        lead_current = min(current, voltage / resistance)
+        self._rig.heater_current = lead_current
+        return lead_current * resistance, lead_current
 
 
 class DcLink:

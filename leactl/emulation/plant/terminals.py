@@ -16,7 +16,7 @@ from leactl.emulation.plant.exact.rig import Actuator
 from leactl.emulation.plant.stepped.rig import SteppedActuator
 
 Array = NDArray[np.float64]
-MOST_SAMPLES = 64  # kept, about 8 ms; a converter reads once a millisecond
+MOST_SAMPLES = 64  # kept; they cover about 8 ms, and a converter reads once a millisecond
 THIRD_OF_A_TURN = 2.0 * math.pi / 3.0
 PHASE_PER_Q_VOLT = math.sqrt(2.0 / 3.0)  # amplitude of a phase over the q-axis voltage, power-invariant
 
@@ -33,29 +33,35 @@ class MotorTerminals:
     ) -> None:
         self._actuator, self._harmonics, self._noise, self.chance = actuator, harmonics, noise_V, chance
         self._samples: deque[tuple[float, float, float]] = deque(maxlen=MOST_SAMPLES)
-        self._columns: Array | None = None  # of the samples, made when first needed
+        self._columns: Array | None = (
+            None  # times [s], angles [rad] and voltages [V] of the samples, made when first needed
+        )
 
-    def sample(self, now: float) -> None:
-        """Sample the present angle and voltage."""
-        self._samples.append((now, self._actuator.angle, self._actuator.voltage))
+    def sample(self, time: float) -> None:
+        """Sample angle and voltage at the present time [s]."""
+        self._samples.append((time, self._actuator.angle, self._actuator.voltage))
         self._columns = None
 
     def voltages(self, times: Array, pair: int) -> Array:
-        """Voltages [V] of a pair (0 ab, 1 bc, 2 ca) at these times."""
+        """Return the voltages [V] of a pair of leads (0 ab, 1 bc, 2 ca) at some times [s]."""
         if self._columns is None:
             self._columns = np.array(self._samples).T
-        moments, angles, volts = self._columns
+        sample_times, sampled_angles, sampled_voltages = self._columns
         parameters = self._actuator.parameters
-        angle = parameters.pole_pairs * np.interp(times, moments, angles) + parameters.phases.commutation_offset
-        amplitude = PHASE_PER_Q_VOLT * np.interp(times, moments, volts)
-        difference = self._phase(angle, pair) - self._phase(angle, (pair + 1) % 3)
+        electrical_angle = (
+            parameters.pole_pairs * np.interp(times, sample_times, sampled_angles)
+            + parameters.phases.commutation_offset
+        )
+        amplitude = PHASE_PER_Q_VOLT * np.interp(times, sample_times, sampled_voltages)
+        line_to_line = self._phase(electrical_angle, pair) - self._phase(electrical_angle, (pair + 1) % 3)
         if parameters.winding == "delta":  # a pair is one phase, of the same shape and angle as the wye's difference
-            difference = difference / math.sqrt(3.0)
-        return np.asarray(amplitude * difference + self._noise * self.chance.standard_normal(len(times)))
+            line_to_line = line_to_line / math.sqrt(3.0)
+        return np.asarray(amplitude * line_to_line + self._noise * self.chance.standard_normal(len(times)))
 
     def _phase(self, angle: Array, phase: int) -> Array:
+        """Return the voltage of a phase over the amplitude of its fundamental, at electrical angles [rad]."""
         phase_angle = angle - phase * THIRD_OF_A_TURN
-        shape = -np.sin(phase_angle)  # the q axis leads the angle by a quarter turn
+        phase_voltage = -np.sin(phase_angle)  # the q axis leads the angle by a quarter turn
         for harmonic in self._harmonics:
-            shape -= harmonic.share * np.sin(harmonic.order * phase_angle + harmonic.phase_rad)
-        return np.asarray(shape)
+            phase_voltage -= harmonic.share * np.sin(harmonic.order * phase_angle + harmonic.phase_rad)
+        return np.asarray(phase_voltage)

@@ -27,13 +27,13 @@ class ExactThermalNetwork:
         self._transitions: dict[float, tuple[float, float, float, float]] = {}
 
     def steady_rise(self, winding_heat: float, housing_heat: float = 0.0) -> tuple[float, float]:
-        """Steady rises of winding and housing above ambient [K] under constant heat [W]."""
+        """Return the steady rises of winding and housing above ambient [K] under constant heat [W]."""
         winding = (self._ghh * winding_heat + self._gwh * housing_heat) / self._determinant
         housing = (self._gwh * winding_heat + self._gww * housing_heat) / self._determinant
         return winding, housing
 
     def step(self, duration: float, winding_heat: float, housing_heat: float = 0.0) -> None:
-        """Advance by a duration [s] under constant heat [W]."""
+        """Advance by a duration [s] under constant heat into winding and housing [W]."""
         transition = self._transitions.get(duration)
         if transition is None:
             transition = self._transition(duration)
@@ -41,19 +41,20 @@ class ExactThermalNetwork:
         steady_winding, steady_housing = self.steady_rise(winding_heat, housing_heat)
         steady_winding += self._ambient
         steady_housing += self._ambient
-        dw, dh = self.winding - steady_winding, self.housing - steady_housing
-        self.winding = steady_winding + f11 * dw + f12 * dh
-        self.housing = steady_housing + f21 * dw + f22 * dh
+        winding_deviation, housing_deviation = self.winding - steady_winding, self.housing - steady_housing
+        self.winding = steady_winding + f11 * winding_deviation + f12 * housing_deviation
+        self.housing = steady_housing + f21 * winding_deviation + f22 * housing_deviation
 
     def _transition(self, duration: float) -> tuple[float, float, float, float]:
-        # Sylvester: exp(A t) = e_slow I + (e_fast - e_slow) / (fast - slow) (A - slow I)
-        fast, slow = math.exp(self._fast * duration), math.exp(self._slow * duration)
-        ratio = (fast - slow) / (self._fast - self._slow)
+        """Return the rows of the transition matrix exp(A duration)."""
+        # Sylvester's formula: exp(A t) = e_slow I + (e_fast - e_slow) / (fast - slow) (A - slow I)
+        fast_decay, slow_decay = math.exp(self._fast * duration), math.exp(self._slow * duration)
+        ratio = (fast_decay - slow_decay) / (self._fast - self._slow)
         matrix = (
-            slow + ratio * (self._a11 - self._slow),
+            slow_decay + ratio * (self._a11 - self._slow),
             ratio * self._a12,
             ratio * self._a21,
-            slow + ratio * (self._a22 - self._slow),
+            slow_decay + ratio * (self._a22 - self._slow),
         )
         if len(self._transitions) > 256:
             self._transitions.clear()

@@ -11,20 +11,20 @@ from leactl.errors import DeviceError, InputError, LeactlError
 
 ENGAGE_S = 5.0  # time for a drive to enter operation or to report that it cannot
 NOTICE_S = 3.0  # time for the driver to report a drive that has stopped answering
-STEPS = {"q_axis_current": 0.2, "velocity": 0.5, "angle": 0.05}  # A, rad/s, rad: change from one cycle to the next
-# largest error of a reading: a share of the true value, plus the device's resolution in A, rad/s, rad and V
+CHANGE_PER_CYCLE = {"q_axis_current": 0.2, "velocity": 0.5, "angle": 0.05}  # A, rad/s, rad
+# largest error of a reading: a share of the true value, plus a resolution in A, rad/s, rad or V
 VALUE_TOLERANCE = 0.01
-RESOLUTION = {"q_axis_current": 0.05, "velocity": 0.02, "angle": 0.002}
+RESOLUTIONS = {"q_axis_current": 0.05, "velocity": 0.02, "angle": 0.002}
 VOLTAGE_RESOLUTION = 0.1
-SETPOINT_RESOLUTION = 0.05  # A, rad/s or rad, of a setpoint that reaches the machine
+SETPOINT_RESOLUTION = 0.05  # A, rad/s or rad: largest difference of a setpoint at the machine
 SETPOINTS = {
     Mode.CURRENT: ("current", 1.5),
     Mode.TORQUE_PROFILE: ("current", 1.5),
     Mode.VELOCITY: ("velocity", 2.0),
     Mode.ANGLE: ("angle", 0.5),
 }
-RAMP_S, RAMP_CYCLES = 10.0, 5  # time for a ramped setpoint to arrive; cycles for which it then stays constant
-LEAST_ROWS, ROWS_S = 2, 20.0  # rows of a stream after the machine has changed, and the time for them to arrive
+LONGEST_RAMP_S, RAMP_CYCLES = 10.0, 5  # time of a ramp; cycles of a constant setpoint, from which it has ended
+FEWEST_ROWS, LONGEST_ROWS_S = 2, 20.0  # of a stream since the machine has changed; time for them to arrive
 UNIT_MISTAKES = {
     "turns for radians": 1 / (2 * math.pi),
     "radians for turns": 2 * math.pi,
@@ -43,7 +43,7 @@ TRUE_VALUES = ((3.0, 2.0, 0.75), (-1.5, -4.0, 1.5), (0.5, 1.0, -0.5))  # A, rad/
 
 
 def modes_of(stand: Stand) -> list[Mode]:
-    """Modes that the drive accepts; raises Broken if there are none."""
+    """Return the modes that the drive accepts; raise Broken if there are none."""
     modes = []
     for mode in SETPOINTS:
         with suppress(InputError):
@@ -56,7 +56,7 @@ def modes_of(stand: Stand) -> list[Mode]:
 
 
 def engage(stand: Stand, mode: Mode) -> None:
-    """Bring the drive into operation."""
+    """Bring the drive into operation; raise Broken if it takes longer than `ENGAGE_S`."""
     stand.motion.engage(mode)
     for _ in stand.cycles(ENGAGE_S):
         if stand.motion.engaged:
@@ -65,7 +65,7 @@ def engage(stand: Stand, mode: Mode) -> None:
 
 
 def enter_operation(stand: Stand) -> Mode:
-    """Open the drive and let it follow a setpoint; returns the mode."""
+    """Open the drive and let it follow a setpoint; return the mode."""
     stand.driver.open()
     mode = modes_of(stand)[0]
     engage(stand, mode)
@@ -81,28 +81,28 @@ def reads_si_units(stand: Stand) -> None:
     The drive is in operation, because a drive that is off may report no current.
     """
     enter_operation(stand)
-    for truth in TRUE_VALUES:
+    for true_values in TRUE_VALUES:
         machine = stand.machine
-        machine.current, machine.velocity, machine.angle = truth
+        machine.current, machine.velocity, machine.angle = true_values
         for _ in range(3):
             stand.cycle()
-        for quantity, true in zip(RESOLUTION, truth, strict=True):
-            compare(quantity, stand.read(quantity), true)
+        for quantity, true_value in zip(RESOLUTIONS, true_values, strict=True):
+            expect_true_value(quantity, stand.read(quantity), true_value)
 
 
-def compare(quantity: str, read: float, true: float) -> None:
-    """Raise Broken if a reading differs from the true value."""
-    if math.isnan(read):
+def expect_true_value(quantity: str, reading: float, true_value: float) -> None:
+    """Raise Broken if a reading is missing or differs from the true value."""
+    if math.isnan(reading):
         raise Broken(f"{quantity} is missing, or NaN although the drive answers")
-    if abs(read - true) <= VALUE_TOLERANCE * abs(true) + RESOLUTION[quantity]:
+    if abs(reading - true_value) <= VALUE_TOLERANCE * abs(true_value) + RESOLUTIONS[quantity]:
         return
-    raise Broken(f"{quantity} reads {read:.6g} where {true:g} is true{unit_hint(read, true)}")
+    raise Broken(f"{quantity} reads {reading:.6g} where {true_value:g} is true{unit_hint(reading, true_value)}")
 
 
-def unit_hint(value: float, true: float) -> str:
-    """Text that names the likely mistake of units as a question; empty if no known factor explains the value."""
+def unit_hint(reading: float, true_value: float) -> str:
+    """Return a question that names the likely mistake of units; empty if no known factor explains the reading."""
     for mistake, factor in UNIT_MISTAKES.items():
-        if abs(value - factor * true) <= 2.0 * VALUE_TOLERANCE * abs(factor * true):
+        if abs(reading - factor * true_value) <= 2.0 * VALUE_TOLERANCE * abs(factor * true_value):
             return f": {mistake}?"
     return ""
 
@@ -117,15 +117,17 @@ def reads_each_sample_once(stand: Stand) -> None:
     machine.current, machine.velocity, machine.angle = 0.0, 0.0, 0.0
     stand.cycle()
     stand.cycle()
-    for number in range(1, 40):
-        machine.current, machine.velocity, machine.angle = (step * number for step in STEPS.values())
+    for cycle_number in range(1, 40):
+        machine.current, machine.velocity, machine.angle = (
+            change_per_cycle * cycle_number for change_per_cycle in CHANGE_PER_CYCLE.values()
+        )
         stand.cycle()
-        for quantity, step in STEPS.items():
-            read, true = stand.read(quantity), step * number
-            if math.isnan(read) or abs(read - true) > VALUE_TOLERANCE * true + RESOLUTION[quantity]:
+        for quantity, change_per_cycle in CHANGE_PER_CYCLE.items():
+            reading, true_value = stand.read(quantity), change_per_cycle * cycle_number
+            if math.isnan(reading) or abs(reading - true_value) > VALUE_TOLERANCE * true_value + RESOLUTIONS[quantity]:
                 raise Broken(
-                    f"{quantity} reads {read:.4g} in the cycle in which {true:g} is true,"
-                    f" {number - read / step:.2g} behind"
+                    f"{quantity} reads {reading:.4g} in the cycle in which {true_value:g} is true,"
+                    f" {cycle_number - reading / change_per_cycle:.2g} behind"
                 )
 
 
@@ -134,28 +136,30 @@ def streams_read_true_values(stand: Stand) -> None:
     enter_operation(stand)
     for bus_voltage, voltage in ((29.6, 3.25), (27.0, -2.0)):
         stand.machine.bus_voltage, stand.machine.voltage = bus_voltage, voltage
-        true = {"bus_voltage": bus_voltage, "q_axis_voltage": voltage}
-        for quantity, read in newest_values(stand).items():
-            if quantity not in true:
+        true_values = {"bus_voltage": bus_voltage, "q_axis_voltage": voltage}
+        for quantity, reading in newest_values(stand).items():
+            if quantity not in true_values:
                 continue
-            expected = true[quantity]
-            if not abs(read - expected) <= VALUE_TOLERANCE * abs(expected) + VOLTAGE_RESOLUTION:
-                raise Broken(f"{quantity} reads {read:.6g} where {expected:g} is true{unit_hint(read, expected)}")
+            true_value = true_values[quantity]
+            if not abs(reading - true_value) <= VALUE_TOLERANCE * abs(true_value) + VOLTAGE_RESOLUTION:
+                raise Broken(
+                    f"{quantity} reads {reading:.6g} where {true_value:g} is true{unit_hint(reading, true_value)}"
+                )
 
 
 def newest_values(stand: Stand) -> dict[str, float]:
-    """Newest value of each channel after some cycles, by quantity."""
-    began, rows = stand.clock.now(), {spec.name: list[Row]() for spec in stand.driver.streams}
-    for _ in stand.cycles(ROWS_S):
+    """Return the newest value of each quantity after some cycles; raise Broken if a stream has too few rows."""
+    start_time, rows = stand.clock.now(), {spec.name: list[Row]() for spec in stand.driver.streams}
+    for _ in stand.cycles(LONGEST_ROWS_S):
         for item in stand.driver.take():
             row = item.last if isinstance(item, SampleBlock) else item
-            if row.time >= began:
+            if row.time >= start_time:
                 rows[row.stream].append(row)
-        if all(len(rows_of_stream) >= LEAST_ROWS for rows_of_stream in rows.values()):
+        if all(len(rows_of_stream) >= FEWEST_ROWS for rows_of_stream in rows.values()):
             break
     else:
         stream, rows_of_stream = min(rows.items(), key=lambda item: len(item[1]))
-        raise Broken(f"{stream}: {len(rows_of_stream)} rows in {ROWS_S:g} s of operation")
+        raise Broken(f"{stream}: {len(rows_of_stream)} rows in {LONGEST_ROWS_S:g} s of operation")
     values = {channel.quantity: stand.read(channel.quantity) for channel in stand.motion.loop_channels}
     for spec in stand.driver.streams:
         values |= {
@@ -174,14 +178,14 @@ def reads_nan_from_a_silent_drive(stand: Stand) -> None:
     with suppress(DeviceError):
         while stand.clock.now() < end:
             stand.cycle()
-            read = stand.read("velocity")
-            if not math.isnan(read):
-                raise Broken(f"velocity still reads {read:.4g} after the drive has fallen silent; NaN was expected")
+            reading = stand.read("velocity")
+            if not math.isnan(reading):
+                raise Broken(f"velocity still reads {reading:.4g} after the drive has fallen silent; NaN was expected")
         raise Broken(f"a drive that has been silent for {NOTICE_S:g} s was not reported")
 
 
 def freeze(stand: Stand) -> None:
-    """Make the far end stop answering and keep its output; unplug the cable if it cannot be frozen."""
+    """Make the far end stop answering while its output goes on; unplug the cable if it cannot be frozen."""
     if isinstance(stand.far_end, Breakable):
         stand.far_end.freeze(True)
     else:
@@ -221,20 +225,20 @@ def follows_its_setpoint(stand: Stand) -> None:
     for mode in modes_of(stand):
         stand.machine.angle = 0.25
         engage(stand, mode)
-        name, value = SETPOINTS[mode]
+        expected_mode, value = SETPOINTS[mode]
         for setpoint in (value, -value):
             stand.motion.command(setpoint)
-            followed, reached = final_setpoint(stand, mode)
-            if followed != name:
-                raise Broken(f"the machine follows '{followed}' where '{mode}' was engaged")
-            if abs(reached - setpoint) > VALUE_TOLERANCE * abs(setpoint) + SETPOINT_RESOLUTION:
-                causes = [
+            followed_mode, final_value = final_setpoint(stand, mode)
+            if followed_mode != expected_mode:
+                raise Broken(f"the machine follows '{followed_mode}' where '{mode}' was engaged")
+            if abs(final_value - setpoint) > VALUE_TOLERANCE * abs(setpoint) + SETPOINT_RESOLUTION:
+                likely_mistakes = [
                     mistake
                     for mistake, factor in UNIT_MISTAKES.items()
-                    if abs(reached - factor * setpoint) <= 0.02 * abs(reached)
+                    if abs(final_value - factor * setpoint) <= 0.02 * abs(final_value)
                 ]
-                hint = f": {causes[0]}?" if causes else ""
-                raise Broken(f"{mode}: {reached:.6g} arrives where {setpoint:g} was commanded{hint}")
+                hint = f": {likely_mistakes[0]}?" if likely_mistakes else ""
+                raise Broken(f"{mode}: {final_value:.6g} arrives where {setpoint:g} was commanded{hint}")
         stand.motion.release()
         for _ in stand.cycles(0.5):
             pass
@@ -243,19 +247,19 @@ def follows_its_setpoint(stand: Stand) -> None:
 
 
 def final_setpoint(stand: Stand, mode: Mode) -> tuple[str, float]:
-    """The machine's mode and setpoint two cycles after a command; for a ramped setpoint, once it stays constant."""
+    """Return the machine's mode and setpoint two cycles after a command; those of a ramp, once they are constant."""
     stand.cycle()
     stand.cycle()
-    followed = stand.machine.following
+    mode_and_setpoint = stand.machine.following
     if mode is not Mode.TORQUE_PROFILE:
-        return followed
+        return mode_and_setpoint
     constant_cycles = 0
-    for _ in stand.cycles(RAMP_S):
-        constant_cycles = constant_cycles + 1 if stand.machine.following == followed else 0
-        followed = stand.machine.following
+    for _ in stand.cycles(LONGEST_RAMP_S):
+        constant_cycles = constant_cycles + 1 if stand.machine.following == mode_and_setpoint else 0
+        mode_and_setpoint = stand.machine.following
         if constant_cycles == RAMP_CYCLES:
-            return followed
-    raise Broken(f"{mode}: the machine still changes what it follows {RAMP_S:g} s after command()")
+            return mode_and_setpoint
+    raise Broken(f"{mode}: the machine still changes what it follows {LONGEST_RAMP_S:g} s after command()")
 
 
 def begins_at_rest(stand: Stand) -> None:
@@ -264,10 +268,10 @@ def begins_at_rest(stand: Stand) -> None:
     for mode in modes_of(stand):
         stand.machine.angle = 0.7
         engage(stand, mode)
-        followed, value = stand.machine.following
-        expected = 0.7 if mode is Mode.ANGLE else 0.0
-        if followed != "off" and abs(value - expected) > 0.01:
-            raise Broken(f"{mode}: begins at {value:.4g}, {expected:g} was expected")
+        followed_mode, initial_setpoint = stand.machine.following
+        expected_setpoint = 0.7 if mode is Mode.ANGLE else 0.0
+        if followed_mode != "off" and abs(initial_setpoint - expected_setpoint) > 0.01:
+            raise Broken(f"{mode}: begins at {initial_setpoint:.4g}, {expected_setpoint:g} was expected")
         stand.motion.release()
         for _ in stand.cycles(0.2):
             pass
@@ -295,14 +299,14 @@ def refuses_setpoints_out_of_range(stand: Stand) -> None:
 
 def call_safe_state(stand: Stand, deadline: float = SAFE_STATE_S) -> bool:
     """Call `safe_state` and return whether it confirms; raise Broken if it raises or exceeds the deadline."""
-    began = stand.clock.now()
+    start_time = stand.clock.now()
     try:
         confirmation = stand.driver.safe_state(deadline)
     except Exception as error:  # noqa: BLE001 (it must never raise)
         raise Broken(f"safe_state raises {type(error).__name__}: {error}") from None
-    took = stand.clock.now() - began
-    if took > deadline + 0.05:
-        raise Broken(f"safe_state({deadline:g}) takes {took:.2f} s")
+    duration = stand.clock.now() - start_time
+    if duration > deadline + 0.05:
+        raise Broken(f"safe_state({deadline:g}) takes {duration:.2f} s")
     return bool(confirmation.safe)
 
 
@@ -315,7 +319,7 @@ def is_off_when_confirmed_safe(stand: Stand) -> None:
 
 
 def check_off_when_confirmed(stand: Stand, when: str) -> None:
-    """Make a drive that answers safe, and check that the machine is off."""
+    """Make a drive that answers safe; raise Broken if that is not confirmed, or the machine is not off."""
     if not call_safe_state(stand):
         raise Broken(f"safe_state {when} is not confirmed although the drive answers")
     if stand.machine.following[0] != "off":
@@ -333,7 +337,7 @@ def never_confirms_over_a_cut_cable(stand: Stand) -> None:
 
 
 def check_unconfirmed_in_silence(stand: Stand, silence: Callable[[Stand], None]) -> None:
-    """Silence a drive in operation, and check that `safe_state` does not confirm while the machine runs."""
+    """Silence a drive in operation; raise Broken if `safe_state` confirms while the machine runs."""
     enter_operation(stand)
     silence(stand)
     if call_safe_state(stand) and stand.machine.following[0] != "off":
@@ -343,10 +347,10 @@ def check_unconfirmed_in_silence(stand: Stand, silence: Callable[[Stand], None])
 def is_cut_by_stop_now(stand: Stand) -> None:
     """`stop_now` sends the command that takes the power away, and does not wait."""
     enter_operation(stand)
-    began = stand.clock.now()
+    start_time = stand.clock.now()
     stand.driver.stop_now()
-    if stand.clock.now() > began:
-        raise Broken(f"stop_now waits for {stand.clock.now() - began:.3f} s; it must not wait")
+    if stand.clock.now() > start_time:
+        raise Broken(f"stop_now waits for {stand.clock.now() - start_time:.3f} s; it must not wait")
     stand.wait(ANSWER_S)
     if stand.machine.following[0] != "off":
         raise Broken(f"the machine still follows {stand.machine.following} after stop_now()")
@@ -362,7 +366,7 @@ def stops_unless_it_is_fed(stand: Stand) -> None:
 
     def go_on(seconds: float) -> None:
         end = stand.clock.now() + seconds + PERIOD_S
-        with suppress(DeviceError):  # that it has stopped by itself is a fault
+        with suppress(DeviceError):  # the driver reports the stop as a fault
             for _ in stand.cycles(seconds + PERIOD_S, feed=False):
                 pass
         stand.clock.sleep_until(end)
@@ -371,22 +375,22 @@ def stops_unless_it_is_fed(stand: Stand) -> None:
 
 
 def check_stop_without_host(stand: Stand, let_pass: Callable[[float], None]) -> None:
-    """Check that a drive in operation stops while `let_pass` passes time [s] without its host."""
-    silence = stand.settings.host_silence_s
-    if silence is None:
+    """Raise Broken if a drive in operation has not stopped once `let_pass` let time [s] pass without a host."""
+    silence_s = stand.settings.host_silence_s
+    if silence_s is None:
         return
     enter_operation(stand)
-    for _ in stand.cycles(6.0 * silence):
+    for _ in stand.cycles(6.0 * silence_s):
         pass
     if not stand.motion.engaged:
         raise Broken(
-            f"leaves operation although feed() is called every {PERIOD_S:g} s; host_silence_s is {silence:g} s"
+            f"leaves operation although feed() is called every {PERIOD_S:g} s; host_silence_s is {silence_s:g} s"
         )
-    let_pass(1.2 * silence)
+    let_pass(1.2 * silence_s)
     if stand.machine.following[0] != "off":
         raise Broken(
-            f"the machine still follows {stand.machine.following} {1.2 * silence:.3g} s after the host's last sign;"
-            f" host_silence_s says {silence:g} s"
+            f"the machine still follows {stand.machine.following} {1.2 * silence_s:.3g} s after the host's last sign;"
+            f" host_silence_s says {silence_s:g} s"
         )
 
 

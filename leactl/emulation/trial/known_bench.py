@@ -1,4 +1,4 @@
-"""A bench on which every quantity is known at any time, behind the far end of the driver under trial."""
+"""A bench behind the far end of the driver under trial, with a known value of every quantity at any time."""
 
 import math
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from leactl.driver.far_end import PAIRS
 from leactl.emulation.clock import EmulatedClock
 from leactl.quantities import FLAGS
 
-LOAD_OHM = 0.6
+LOAD_OHM = 0.6  # at a supply's terminals
 BASES = {  # value before a quantity begins to rise, in SI units and degC
     "torque": 1.0,
     "q_axis_current": 2.0,
@@ -24,13 +24,13 @@ BASES = {  # value before a quantity begins to rise, in SI units and degC
     "housing_temperature": 33.0,
     "ambient_temperature": 24.0,
 }
-OTHER_BASE = 1.5
-# share of its base by which a quantity rises in a measurement, so that an old reading that is repeated is far off; no
-# round number, so that readings repeated for some samples differ from the multiples that a display shows
+DEFAULT_BASE = 1.5  # of a quantity that is not in BASES
+# share of its base by which a quantity rises in a measurement: large, so that a repeated old reading is far off, and no
+# round number, so that repeated readings differ from the multiples of a step that a display shows
 RISE = 0.47
-AMPLITUDE_V = 4.0
+AMPLITUDE_V = 4.0  # of the voltages at the leads
 HIGHEST_FREQUENCY_HZ = 7.0  # of the voltages at the leads
-MOST_TURN_PER_SAMPLE = 0.004  # of the voltages at the leads, so that an instrument's delay in its period does not count
+MOST_TURNS_PER_SAMPLE = 0.004  # of the leads' voltages; an instrument's delay of up to a sample then hardly counts
 
 
 class KnownMachine:
@@ -47,7 +47,7 @@ class KnownMachine:
         self.following = (mode, value)
 
     def read(self) -> tuple[float, float, float]:
-        """Current [A], velocity [rad/s] and angle [rad]."""
+        """Return current [A], velocity [rad/s] and angle [rad]."""
         mode, value = self.following
         commanded = value if mode == "current" else 0.0
         return commanded if self.current is None else self.current, self.velocity, self.angle
@@ -74,7 +74,7 @@ class KnownTerminals:
         self.frequency_Hz = HIGHEST_FREQUENCY_HZ
 
     def voltages(self, times: NDArray[np.float64], pair: int) -> NDArray[np.float64]:
-        """Voltages [V] of a pair of leads at these times."""
+        """Return the voltages [V] of a pair of leads at some times [s]."""
         turns = self.frequency_Hz * times - pair / 3.0
         return np.asarray(AMPLITUDE_V * np.sin(2.0 * math.pi * turns), np.float64)
 
@@ -86,16 +86,16 @@ class KnownBench:
         self._clock = clock
         self.machines: dict[str, KnownMachine] = {}
         self.load, self.leads = KnownLoad(), KnownTerminals()
-        self.rises_from, self.rises_for = 0.0, 5.0  # s, within which every quantity rises by `RISE`
+        self.rises_from, self.rises_for = 0.0, 5.0  # s, start and duration of the rise by `RISE`
 
     def rise(self, duration: float, interval: float = 0.0) -> None:
         """Make every quantity rise from now on, over a duration [s], while a device samples it at an interval [s]."""
         self.rises_from, self.rises_for = self._clock.now(), duration
-        most = MOST_TURN_PER_SAMPLE / interval if interval > 0.0 else math.inf
-        self.leads.frequency_Hz = min(HIGHEST_FREQUENCY_HZ, most)
+        highest_frequency = MOST_TURNS_PER_SAMPLE / interval if interval > 0.0 else math.inf
+        self.leads.frequency_Hz = min(HIGHEST_FREQUENCY_HZ, highest_frequency)
 
     def machine(self, role: str) -> KnownMachine:
-        """The machine that the drive of this role turns."""
+        """Return the machine that the drive of this role turns."""
         return self.machines.setdefault(role, KnownMachine())
 
     def reading(self, quantity: str, role: str, location: str = "") -> Callable[[], float]:
@@ -103,18 +103,18 @@ class KnownBench:
         return lambda: float(self.true_value(quantity, self._clock.now()))
 
     def true_value(self, quantity: str, time: Any) -> Any:
-        """Value of a quantity at one or many times [s]."""
+        """Return the value of a quantity at one or many times [s]."""
         if quantity in PAIRS:
             return self.leads.voltages(np.asarray(time, np.float64), PAIRS.index(quantity))
         progress = np.maximum(time - self.rises_from, 0.0) / self.rises_for
-        if quantity in FLAGS:  # which cannot rise; they switch once half of the time is over
+        if quantity in FLAGS:  # a flag cannot rise: it switches at half of the time
             return np.asarray(progress >= 0.5, np.float64)
-        return BASES.get(quantity, OTHER_BASE) * (1.0 + RISE * progress)
+        return BASES.get(quantity, DEFAULT_BASE) * (1.0 + RISE * progress)
 
     def terminals(self, role: str) -> KnownTerminals:
-        """The three leads of this role's motor."""
+        """Return the three leads of this role's motor."""
         return self.leads
 
     def at_supply(self, feeds: str, role: str) -> KnownLoad:
-        """Load at the terminals of a power supply."""
+        """Return the load at the terminals of a power supply."""
         return self.load

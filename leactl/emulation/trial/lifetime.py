@@ -10,13 +10,13 @@ from leactl.emulation.trial.stand import ANSWER_S, Broken, Stand
 from leactl.errors import DeviceError
 from leactl.quantities import accepted_units
 
-WATCH_S, POLL_S = 0.5, 0.01  # duration of the cycles whose calls are timed, and of one cycle
+WATCH_S, POLL_S = 0.5, 0.01  # duration of all cycles whose calls are timed, and of one cycle
 ROUNDING_S = 1e-6  # rounding error of the emulated clock
 FILE_DESCRIPTORS = Path("/proc/self/fd")  # only on Linux; elsewhere only threads and ports are counted
 
 
 def put_to_use(stand: Stand) -> None:
-    """Open a device and put it to its use: operation, output on, or open."""
+    """Open a device and put it to its use: a drive into operation, a supply's output on."""
     if isinstance(stand.driver, MotionDevice):
         drives.enter_operation(stand)
     elif isinstance(stand.driver, PowerSupply):
@@ -50,17 +50,17 @@ def never_waits(stand: Stand) -> None:
 
 
 def check_calls_end_in_time(stand: Stand, is_cut: bool) -> None:
-    """Make the calls of some cycles, and raise Broken if one ends late; any call may report an unplugged cable."""
+    """Make the calls of some cycles; raise Broken if one ends late. If the cable is cut, any may raise DeviceError."""
 
-    def call(name: str, longest: float, *arguments: float) -> None:
-        deadline = stand.clock.now() + longest
+    def call(name: str, longest_duration: float, *arguments: float) -> None:
+        deadline = stand.clock.now() + longest_duration
         with suppress(DeviceError) if is_cut else nullcontext():
             getattr(stand.driver, name)(*arguments)
-        if (late := stand.clock.now() - deadline) > ROUNDING_S:
-            raise Broken(f"{name}() ends {late:.4f} s too late; no call may delay a cycle")
+        if (lateness := stand.clock.now() - deadline) > ROUNDING_S:
+            raise Broken(f"{name}() ends {lateness:.4f} s too late; no call may delay a cycle")
 
-    began = stand.clock.now()
-    while (now := stand.clock.now()) < began + WATCH_S:
+    start_time = stand.clock.now()
+    while (cycle_start := stand.clock.now()) < start_time + WATCH_S:
         if isinstance(stand.driver, MotionDevice):
             call("begin_cycle", 0.0)
             with suppress(DeviceError) if is_cut else nullcontext():
@@ -69,7 +69,7 @@ def check_calls_end_in_time(stand: Stand, is_cut: bool) -> None:
             call("feed", 0.0)
         call("take", 0.0)
         call("notices", 0.0)
-        stand.clock.sleep_until(now + POLL_S)
+        stand.clock.sleep_until(cycle_start + POLL_S)
 
 
 def releases_everything_when_closed(stand: Stand) -> None:
@@ -77,30 +77,30 @@ def releases_everything_when_closed(stand: Stand) -> None:
     put_to_use(stand)
     stand.driver.close()
     stand.renew_driver()
-    # counted after the first use, which may start threads that stay
-    threads, files = threading.active_count(), count_open_files()
+    # counted after a first use, which may start threads that last
+    thread_count, file_count = threading.active_count(), count_open_files()
     put_to_use(stand)
     if not drives.call_safe_state(stand):
         raise Broken("safe_state in operation is not confirmed although the device answers")
     stand.driver.close()
-    check_released(stand, threads, files)
+    check_released(stand, thread_count, file_count)
     if not drives.call_safe_state(stand):
         raise Broken("safe_state after close() is not confirmed although the device answers")
     stand.driver.close()
 
 
-def check_released(stand: Stand, threads: int, files: int) -> None:
+def check_released(stand: Stand, thread_count: int, file_count: int) -> None:
     """Raise Broken if a port, a thread or a file is open that was not open before."""
     if stand.is_connected:
         raise Broken("its bus is still open after close(): the port is opened more often than it is closed")
-    if (extra := threading.active_count() - threads) > 0:
-        raise Broken(f"{extra} more threads run after close() than before open()")
-    if (extra := count_open_files() - files) > 0:
-        raise Broken(f"{extra} more files are open after close() than before open()")
+    if (excess := threading.active_count() - thread_count) > 0:
+        raise Broken(f"{excess} more threads run after close() than before open()")
+    if (excess := count_open_files() - file_count) > 0:
+        raise Broken(f"{excess} more files are open after close() than before open()")
 
 
 def count_open_files() -> int:
-    """Number of file descriptors of this process; 0 if the system cannot list them."""
+    """Return the number of file descriptors of this process; 0 if the system cannot list them."""
     return len(list(FILE_DESCRIPTORS.iterdir())) if FILE_DESCRIPTORS.is_dir() else 0
 
 

@@ -24,7 +24,7 @@ Trial = Callable[[Stand], None]
 
 @dataclass(frozen=True)
 class TrialResult:
-    """Name of one trial, and its fault; empty if it passed."""
+    """Name of one trial, and its fault, which is empty if it passed."""
 
     name: str
     fault: str
@@ -37,29 +37,35 @@ def try_driver(driver: type[Driver]) -> list[TrialResult]:
     ------
     InputError : the driver has no `example` of settings or no far end.
     """
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with tempfile.TemporaryDirectory() as folder_name:
+        folder = Path(folder_name)
         trials = trials_of(driver, folder)
         return [TrialResult(trial_name(trial), run_in_child(trial, driver, folder)) for trial in trials]
 
 
 def trials_of(driver: type[Driver], folder: Path) -> tuple[Trial, ...]:
-    """Trials that a driver of this kind has to pass.
+    """Return the trials that a driver of this kind has to pass.
 
     Raises
     ------
-    InputError : its `example` is refused by its own settings, or it has no far end.
+    InputError : the driver's `example` does not suit its `Settings`, or it has no far end.
     """
     try:
         example_of(driver, folder)
     except ValueError as error:
         raise InputError(f"its `example` is no settings of one: {' '.join(str(error).split())}") from None
     stand = Stand(driver, folder)
-    outputs = lifetime.OUTPUT_TRIALS if isinstance(stand.driver, MotionDevice | PowerSupply) else ()
-    return (*_trials_of_kind(stand), *lifetime.TRIALS, *outputs, *(probing.TRIALS if driver.probe is not None else ()))
+    output_trials = lifetime.OUTPUT_TRIALS if isinstance(stand.driver, MotionDevice | PowerSupply) else ()
+    return (
+        *_trials_of_kind(stand),
+        *lifetime.TRIALS,
+        *output_trials,
+        *(probing.TRIALS if driver.probe is not None else ()),
+    )
 
 
 def _trials_of_kind(stand: Stand) -> tuple[Trial, ...]:
+    """Return the trials for drives, supplies, devices whose readings come in files, or other devices."""
     if isinstance(stand.driver, MotionDevice):
         return drives.TRIALS
     if isinstance(stand.driver, PowerSupply):
@@ -71,52 +77,52 @@ def _trials_of_kind(stand: Stand) -> tuple[Trial, ...]:
 
 
 def trial_name(trial: Trial) -> str:
-    """Name of a trial in words."""
+    """Return the name of a trial in words."""
     return trial.__name__.replace("_", " ")
 
 
 def run_in_child(trial: Trial, driver: type[Driver], folder: Path) -> str:
-    """Run one trial in a separate process; returns its fault, or an empty text.
+    """Run one trial in a separate process; return its fault, or an empty text.
 
-    If processes cannot be forked, the trial runs in this one, and a trial that hangs has to be interrupted.
+    If the system cannot fork, the trial runs in this process; one that hangs must then be interrupted by hand.
     """
     if not hasattr(os, "fork"):
         return run_in_this_process(trial, driver, folder)
-    reads, writes = os.pipe()
+    read_end, write_end = os.pipe()
     sys.stdout.flush()
     sys.stderr.flush()
     child = os.fork()
     if child == 0:
-        code = 1
+        exit_code = 1
         with suppress(BaseException):  # whatever a driver does, this process ends here
-            os.write(writes, json.dumps(run_in_this_process(trial, driver, folder)).encode())
-            code = 0
-        os._exit(code)
-    os.close(writes)
+            os.write(write_end, json.dumps(run_in_this_process(trial, driver, folder)).encode())
+            exit_code = 0
+        os._exit(exit_code)
+    os.close(write_end)
     try:
-        return read_fault(reads)
+        return read_fault(read_end)
     finally:
-        os.close(reads)
+        os.close(read_end)
         with suppress(ProcessLookupError):
             os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
 
 
 def read_fault(pipe: int) -> str:
-    """Read the fault that a trial's process sends through a pipe, within `TRIAL_TIMEOUT_S`."""
-    result, end = b"", time.monotonic() + TRIAL_TIMEOUT_S
-    while time_left := max(end - time.monotonic(), 0.0):
+    """Return the fault that a trial's process sends through a pipe, or that it has crashed or hangs."""
+    message, deadline = b"", time.monotonic() + TRIAL_TIMEOUT_S
+    while time_left := max(deadline - time.monotonic(), 0.0):
         if not select.select([pipe], [], [], time_left)[0]:
             break
         received = os.read(pipe, 65536)
         if not received:
-            return str(json.loads(result)) if result else "it has ended the process of the trial"
-        result += received
+            return str(json.loads(message)) if message else "it has ended the process of the trial"
+        message += received
     return f"it hangs: no end within {TRIAL_TIMEOUT_S:g} s, although only the bench's clock passes"
 
 
 def run_in_this_process(trial: Trial, driver: type[Driver], folder: Path) -> str:
-    """Run one trial in this process; returns its fault, or an empty text."""
+    """Run one trial in this process; return its fault, or an empty text."""
     try:
         trial(Stand(driver, Path(tempfile.mkdtemp(dir=folder))))
     except Broken as broken:

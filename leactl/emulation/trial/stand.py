@@ -18,7 +18,7 @@ from leactl.emulation.wires.buses import CanWire, EmulatedCanBus, EmulatedI2cBus
 from leactl.emulation.wires.serial import EmulatedSerialLine, SerialWire
 
 BITS_PER_BYTE = 11  # on a serial line with two stop bits
-PERIOD_S, ANSWER_S = 0.01, 0.006  # of a cycle, and from its start to the deadline for the drive's answers
+PERIOD_S, ANSWER_S = 0.01, 0.006  # of a cycle; and from a cycle's start to the deadline of the drive's answers
 ROLE = "test"
 
 
@@ -27,7 +27,7 @@ class Broken(Exception):
 
 
 class Stand:
-    """A driver that is not open yet, on the wire of its far end."""
+    """A driver, not yet open, and its far end at the other end of the wire."""
 
     def __init__(self, driver: type[Driver], folder: Path) -> None:
         self.clock = EmulatedClock()
@@ -56,13 +56,13 @@ class Stand:
         else:
             self.clock.follow(far_end.tick)
             self.clock.stop_at(lambda: far_end.due)
-        self.far_end, self._kind = far_end, driver
+        self.far_end, self._driver_class = far_end, driver
         self.renew_driver()
 
     def renew_driver(self) -> None:
-        """Replace the driver by that of another host; the device keeps its state."""
+        """Replace the driver by a new one, as of another host; the device keeps its state."""
         self._port = self._make_port()
-        self.driver = self._kind("tried", ROLE, self.settings, self._port, self.clock)
+        self.driver = self._driver_class("tried", ROLE, self.settings, self._port, self.clock)
 
     @property
     def is_connected(self) -> bool:
@@ -76,7 +76,7 @@ class Stand:
 
     @property
     def motion(self) -> MotionDevice:
-        """The driver as a drive."""
+        """The driver, typed as that of a drive."""
         assert isinstance(self.driver, MotionDevice)
         return self.driver
 
@@ -93,7 +93,7 @@ class Stand:
             self._wire.cut = True
 
     def scan(self) -> WireReport:
-        """Scan the wire by the driver's probe alone, and return the report; the driver stays closed."""
+        """Scan the wire with the driver's probe alone and return the report; the driver stays closed."""
         report, probe, watcher = WireReport("tried"), self.driver.probe, Watcher(lambda _text: None, lambda: None)
         if isinstance(probe, CanProbe):
             ask_can(report, self._connect, self.clock, {"tried": probe}, watcher, fd=True)
@@ -105,29 +105,29 @@ class Stand:
         return report
 
     def wait(self, seconds: float) -> None:
-        """Let time pass without sending."""
+        """Let time [s] pass without sending."""
         self.clock.sleep_until(self.clock.now() + seconds)
 
     def cycle(self, feed: bool = True) -> list[float]:
-        """Run one cycle as the control loop does; returns the values."""
-        began, drive = self.clock.now(), self.motion
+        """Run one cycle as the control loop does; return the values of the drive's channels."""
+        start, drive = self.clock.now(), self.motion
         drive.begin_cycle()
         self.synchronise()
-        drive.end_cycle(began + ANSWER_S)
+        drive.end_cycle(start + ANSWER_S)
         values = list(drive.values)
         if feed:
             drive.feed()
-        self.clock.sleep_until(began + PERIOD_S)
+        self.clock.sleep_until(start + PERIOD_S)
         return values
 
     def cycles(self, seconds: float, feed: bool = True) -> Iterable[list[float]]:
-        """Run cycles for a time [s]."""
+        """Run cycles for a time [s]; yield the values of each."""
         end = self.clock.now() + seconds
         while self.clock.now() < end:
             yield self.cycle(feed)
 
     def read(self, quantity: str) -> float:
-        """Value of a quantity in the last cycle; NaN if the drive has no such channel."""
+        """Return the value of a quantity in the last cycle; NaN if the drive has no such channel."""
         for index, channel in enumerate(self.motion.loop_channels):
             if channel.quantity == quantity:
                 return self.motion.values[index]
@@ -135,7 +135,7 @@ class Stand:
 
 
 def example_of(driver: type[Driver], folder: Path) -> Any:
-    """Settings of one device from the driver's `example`; a folder of exported files is set to `folder`."""
+    """Return the settings of the driver's `example`; files that a program exports are expected in `folder`."""
     values: dict[str, Any] = dict(driver.example)
     if "exports_folder" in driver.Settings.model_fields:
         values["exports_folder"] = str(folder)

@@ -18,23 +18,23 @@ from leactl.emulation.clock import EmulatedClock
 
 TICK_S = 1e-3
 LEAST_WAIT_S = 1e-9  # a wait that rounding makes shorter must still let time pass, or it would never end
-MOST_STOPS_PER_S = 8000  # of the plant for I2C devices, which are then at most 0.125 ms late
+MOST_STOPS_PER_S = 8000  # stops of emulated time for I2C devices, which are then at most 0.125 ms late
 
 FrameDelay = Callable[[Frame, CanEmulator | None], float | None]
 """Returns the delay [s] of a frame of a device, or of a host if the device is None; None if the frame is lost."""
 
 
 def message_of(frame: Frame, timestamp: float = 0.0) -> can.Message:
-    """Convert an emulator's frame to python-can's message."""
+    """Return an emulator's frame as a message of python-can."""
     identifier, data = frame
     if isinstance(frame, FdFrame):
-        extended = identifier > LAST_OF_11_BITS
-        return can.Message(timestamp, identifier, extended, data=data, is_fd=True, bitrate_switch=True)
+        is_extended = identifier > LAST_OF_11_BITS
+        return can.Message(timestamp, identifier, is_extended, data=data, is_fd=True, bitrate_switch=True)
     return can.Message(timestamp, identifier, False, data=data)
 
 
 class CanWire:
-    """The segment that emulated devices and any number of host connections share."""
+    """The CAN segment that emulated devices and any number of host connections share."""
 
     def __init__(self, clock: EmulatedClock) -> None:
         self.clock = clock
@@ -43,28 +43,28 @@ class CanWire:
         self.cut = False  # the cable is unplugged: nothing arrives, on either side
         self.off = False  # the hosts' controller has left the bus: they cannot send, and nothing comes in
         self._disturbances: list[FrameDelay] = []
-        self._late: list[tuple[float, int, Callable[[], None]]] = []
-        self._held_up = 0  # frames so far: those of one moment keep their order
+        self._delayed_frames: list[tuple[float, int, Callable[[], None]]] = []
+        self._delayed_count = 0  # frames delayed so far; frames that are due at one time keep their order
         clock.follow(self._pass_time)
-        clock.stop_at(lambda: self._late[0][0] if self._late else math.inf)
+        clock.stop_at(lambda: self._delayed_frames[0][0] if self._delayed_frames else math.inf)
 
     def attach(self, device: CanEmulator) -> None:
         """Put a device on the segment."""
         self.devices.append(device)
 
     def disturb(self, delay_of_frame: FrameDelay) -> Callable[[], None]:
-        """Apply a fault to every frame; returns a function that removes it."""
+        """Apply a fault to every frame; return a function that removes it."""
         self._disturbances.append(delay_of_frame)
         return lambda: self._disturbances.remove(delay_of_frame)
 
     def from_host(self, frame: Frame, sender: "EmulatedCanBus") -> None:
         """Deliver a host's frame, and the answers of the devices."""
         if self._disturbances:
-            self._deliver(frame, None, partial(self._to_devices, frame, sender))
+            self._deliver(frame, None, partial(self._send_to_devices, frame, sender))
         else:
-            self._to_devices(frame, sender)
+            self._send_to_devices(frame, sender)
 
-    def _to_devices(self, frame: Frame, sender: "EmulatedCanBus") -> None:
+    def _send_to_devices(self, frame: Frame, sender: "EmulatedCanBus") -> None:
         if self.cut:
             return
         now = self.clock.now()
@@ -74,16 +74,17 @@ class CanWire:
         for device in self.devices:
             answers = device.receive(frame, now)
             if answers:
-                self._from_device(device, answers)
+                self._pass_from_device(device, answers)
 
-    def _from_device(self, device: CanEmulator, frames: list[Frame]) -> None:
+    def _pass_from_device(self, device: CanEmulator, frames: list[Frame]) -> None:
         if self._disturbances:
             for frame in frames:
-                self._deliver(frame, device, partial(self._to_hosts, [frame]))
+                self._deliver(frame, device, partial(self._send_to_hosts, [frame]))
         else:
-            self._to_hosts(frames)
+            self._send_to_hosts(frames)
 
     def _deliver(self, frame: Frame, source: CanEmulator | None, deliver: Callable[[], None]) -> None:
+        """Deliver a frame at once, later or never, as the faults of the wire say; a host's frame has no source."""
         delay = 0.0
         for delay_of_frame in self._disturbances:
             added_delay = delay_of_frame(frame, source)
@@ -93,17 +94,17 @@ class CanWire:
         if delay <= 0.0:
             deliver()
             return
-        self._held_up += 1
-        heapq.heappush(self._late, (self.clock.now() + delay, self._held_up, deliver))
+        self._delayed_count += 1
+        heapq.heappush(self._delayed_frames, (self.clock.now() + delay, self._delayed_count, deliver))
 
     def _pass_time(self, now: float) -> None:
-        while self._late and self._late[0][0] <= now:
-            heapq.heappop(self._late)[2]()
+        while self._delayed_frames and self._delayed_frames[0][0] <= now:
+            heapq.heappop(self._delayed_frames)[2]()
         for device in self.devices:
             if now >= device.due:
-                self._from_device(device, device.tick(now))
+                self._pass_from_device(device, device.tick(now))
 
-    def _to_hosts(self, frames: list[Frame]) -> None:
+    def _send_to_hosts(self, frames: list[Frame]) -> None:
         if self.cut or self.off:
             return
         for host in self.hosts:
@@ -124,16 +125,16 @@ class EmulatedCanBus(can.BusABC):
         """Send a frame; the devices have answered when this returns."""
         if self._wire.off:
             raise can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS)
-        kind = FdFrame if msg.is_fd else Frame
-        self._wire.from_host(kind(msg.arbitration_id, bytes(msg.data)), self)
+        frame_class = FdFrame if msg.is_fd else Frame
+        self._wire.from_host(frame_class(msg.arbitration_id, bytes(msg.data)), self)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Take the oldest frame; if there is none, let emulated time pass until one arrives or `timeout` is over."""
+        """Return the oldest frame; if there is none, let time pass until one arrives or for the timeout [s]."""
         arrived, clock = self.arrived, self._wire.clock
         if not arrived and timeout:
-            until = clock.now() + max(timeout, LEAST_WAIT_S)
-            while not arrived and clock.now() < until:
-                clock.sleep_until(min(until, clock.now() + TICK_S))
+            deadline = clock.now() + max(timeout, LEAST_WAIT_S)
+            while not arrived and clock.now() < deadline:
+                clock.sleep_until(min(deadline, clock.now() + TICK_S))
         if not arrived:
             return None
         return message_of(arrived.popleft(), clock.now())
@@ -159,15 +160,19 @@ class EmulatedI2cBus:
         clock.stop_at(self._due)
 
     def _due(self) -> float:
-        due = min((device.due for device in self.devices.values()), default=math.inf)
-        return math.ceil(due * MOST_STOPS_PER_S) / MOST_STOPS_PER_S if due < math.inf else due
+        """Return the next time [s] at which a device is due, rounded up to a multiple of 1 / `MOST_STOPS_PER_S`."""
+        earliest_due = min((device.due for device in self.devices.values()), default=math.inf)
+        return (
+            math.ceil(earliest_due * MOST_STOPS_PER_S) / MOST_STOPS_PER_S if earliest_due < math.inf else earliest_due
+        )
 
     def _pass_time(self, now: float) -> None:
         for device in self.devices.values():
             if now >= device.due:
                 device.tick(now)
 
-    def _device(self, address: int) -> I2cEmulator:
+    def _answering_device(self, address: int) -> I2cEmulator:
+        """Return the device at an address; raise OSError if none is there or its plug is out."""
         device = self.devices.get(address)
         if device is None or device in self.silent:
             raise OSError(errno.EREMOTEIO, "Remote I/O error")
@@ -175,11 +180,11 @@ class EmulatedI2cBus:
 
     def read_word_data(self, i2c_addr: int, register: int) -> int:
         """Read a 16-bit register; the first byte on the wire is the low one of the word."""
-        return swap_bytes(self._device(i2c_addr).read(register, self._clock.now()))
+        return swap_bytes(self._answering_device(i2c_addr).read(register, self._clock.now()))
 
     def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
         """Write a 16-bit register; the low byte of the word is sent first."""
-        self._device(i2c_addr).write(register, swap_bytes(value), self._clock.now())
+        self._answering_device(i2c_addr).write(register, swap_bytes(value), self._clock.now())
 
     def close(self) -> None:
         """Do nothing: no connection is held."""

@@ -4,11 +4,11 @@ import os
 import pty
 import tty
 
-MOST_BYTES = 4096  # of one read
+MOST_BYTES_PER_READ = 4096
 
 
 class PseudoTerminal:
-    """A pseudo terminal; the other process opens `path`, as often as it likes."""
+    """A pseudo terminal, whose `path` the other process may open and close any number of times."""
 
     def __init__(self) -> None:
         self._master, self._slave = pty.openpty()  # holding the slave keeps the line up between two clients
@@ -17,22 +17,22 @@ class PseudoTerminal:
         self.path = os.ttyname(self._slave)
 
     def fileno(self) -> int:
-        """Descriptor that `select` waits for."""
+        """Return the descriptor that `select` waits for."""
         return self._master
 
     def read(self) -> bytes:
-        """Take the bytes that have arrived; never waits."""
+        """Return the bytes that have arrived, without waiting."""
         try:
-            return os.read(self._master, MOST_BYTES)
+            return os.read(self._master, MOST_BYTES_PER_READ)
         except (BlockingIOError, OSError):
             return b""
 
     def write(self, data: bytes) -> None:
-        """Send; bytes that a full line does not take are lost."""
+        """Send bytes; those that do not fit into the line's buffer are lost."""
         try:
             os.write(self._master, data)
         except BlockingIOError:
-            return  # nobody reads
+            return  # nobody reads, and the buffer is full
 
     def close(self) -> None:
         """Close the terminal."""

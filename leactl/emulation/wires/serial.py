@@ -1,7 +1,7 @@
 """An emulated serial line in the same process: bytes take time in either direction, by the emulated clock.
 
-Synchronous and without threads: time passes only while the host waits. Events between two readings of the clock happen
-in their order and at their own times.
+Synchronous and without threads: time passes only while the host waits. Events that one wait spans happen in their
+order and at their own times.
 """
 
 import math
@@ -11,7 +11,7 @@ from leactl.driver.far_end import SerialEmulator
 from leactl.emulation.clock import EmulatedClock
 
 TICK_S = 1e-3
-MOST_UNSENT = 4096  # bytes in the host's transmit buffer, as in a kernel's
+MOST_UNSENT_BYTES = 4096  # in the host's transmit buffer, as in a kernel's
 
 
 class SerialWire:
@@ -22,19 +22,19 @@ class SerialWire:
         self.device: SerialEmulator | None = None
         self.cut = False  # the cable is unplugged: nothing arrives, on either side
         self.gone = False  # the adapter was pulled out of the host
-        self._to_device: deque[tuple[float, int]] = deque()  # moment of arrival, byte
+        self._to_device: deque[tuple[float, int]] = deque()  # time of arrival [s], byte
         self._to_host: deque[tuple[float, int]] = deque()
         clock.follow(self._pass_time)
 
     def from_host(self, data: bytes) -> int:
-        """Begin to send a host's bytes; returns how many fit into the buffer."""
-        accepted = data[: MOST_UNSENT - len(self._to_device)]
+        """Begin to send a host's bytes; return how many fit into the buffer."""
+        accepted = data[: MOST_UNSENT_BYTES - len(self._to_device)]
         self._send(self._to_device, accepted, self.clock.now())
         return len(accepted)
 
     def to_host(self) -> bytes:
-        """Take the bytes that have arrived at the host."""
-        return self._arrived(self._to_host, self.clock.now())
+        """Remove and return the bytes that have arrived at the host."""
+        return self._take_arrived(self._to_host, self.clock.now())
 
     def forget(self) -> None:
         """Drop the bytes on the line, when a host connects or disconnects."""
@@ -42,12 +42,14 @@ class SerialWire:
         self._to_host.clear()
 
     def _send(self, queue: "deque[tuple[float, int]]", data: bytes, now: float) -> None:
-        moment = max(now, queue[-1][0] if queue else -math.inf)
+        """Queue bytes to arrive one after the other, behind those that are on the line."""
+        arrival_time = max(now, queue[-1][0] if queue else -math.inf)
         for byte in data:
-            moment += self.byte_s
-            queue.append((moment, byte))
+            arrival_time += self.byte_s
+            queue.append((arrival_time, byte))
 
-    def _arrived(self, queue: "deque[tuple[float, int]]", now: float) -> bytes:
+    def _take_arrived(self, queue: "deque[tuple[float, int]]", now: float) -> bytes:
+        """Remove and return the bytes of a queue that have arrived; none arrives over a cut line."""
         received = bytearray()
         while queue and queue[0][0] <= now:
             received.append(queue.popleft()[1])
@@ -58,13 +60,13 @@ class SerialWire:
         if device is None:
             return
         while True:
-            arrival, due = (self._to_device[0][0] if self._to_device else math.inf), device.due
-            if min(arrival, due) > now:
+            next_arrival, tick_due = (self._to_device[0][0] if self._to_device else math.inf), device.due
+            if min(next_arrival, tick_due) > now:
                 return
-            if arrival <= due:
-                device.receive(self._arrived(self._to_device, arrival), arrival)
+            if next_arrival <= tick_due:
+                device.receive(self._take_arrived(self._to_device, next_arrival), next_arrival)
             else:
-                self._send(self._to_host, device.tick(due), due)
+                self._send(self._to_host, device.tick(tick_due), tick_due)
 
 
 class EmulatedSerialLine:
@@ -77,25 +79,26 @@ class EmulatedSerialLine:
         wire.forget()
 
     def read(self, timeout: float) -> bytes:
-        """Take the bytes that have arrived; if there are none, let emulated time pass until some do or time is up."""
+        """Return the bytes that have arrived; if there are none, let time pass until some do or for the timeout [s]."""
         clock = self._wire.clock
-        until = clock.now() + timeout
+        deadline = clock.now() + timeout
         while True:
-            self._check()
-            read = self._wire.to_host()
-            if read or clock.now() >= until:
-                return read
-            clock.sleep_until(min(until, clock.now() + TICK_S))
+            self._expect_adapter()
+            received = self._wire.to_host()
+            if received or clock.now() >= deadline:
+                return received
+            clock.sleep_until(min(deadline, clock.now() + TICK_S))
 
     def write(self, data: bytes) -> int:
-        """Begin to send; returns how many bytes fit into the buffer."""
-        self._check()
+        """Begin to send bytes; return how many fit into the buffer."""
+        self._expect_adapter()
         return self._wire.from_host(data)
 
     def close(self) -> None:
         """Disconnect from the line."""
         self._wire.forget()
 
-    def _check(self) -> None:
+    def _expect_adapter(self) -> None:
+        """Raise OSError if the adapter was pulled out."""
         if self._wire.gone:
             raise OSError("nothing is at the other end")

@@ -27,23 +27,23 @@ from leactl.emulation.wires.serial import EmulatedSerialLine, SerialWire
 from leactl.emulation.wires.slcan import SlcanAdapter
 from leactl.errors import DeviceError, InputError
 
-LONGEST_LAG_S = 0.002  # of the plant behind the wall clock
-STUB_NAME = "SMBus stub driver"
-LONGEST_STUB_LAG_S = 1e-4  # of the plant, if a chip of i2c-stub is served
-MOST_FRAMES_AT_ONCE = 64  # a cycle of two drives has seven
+LONGEST_LAG_S = 0.002  # by which the plant may be behind the wall clock
+STUB_NAME = "SMBus stub driver"  # in sysfs
+LONGEST_STUB_LAG_S = 1e-4  # instead, if a chip of i2c-stub is served
+MOST_FRAMES_AT_ONCE = 64  # of a host; a cycle of two drives has seven
 
 
 class HostSide(Protocol):
     """The part of a real CAN bus that the far ends use."""
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Take one frame, or None if there is none."""
+        """Return one frame, or None if there is none."""
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send one frame."""
 
     def fileno(self) -> int:
-        """Descriptor that `select` waits for."""
+        """Return the descriptor that `select` waits for."""
 
     def shutdown(self) -> None:
         """Close the bus."""
@@ -52,10 +52,10 @@ class HostSide(Protocol):
 class Bridge(Protocol):
     """A real bus joined to an emulated one."""
 
-    address: str  # of the real bus, for the user who opens it
+    address: str  # tells the user how to open the real bus
 
     def fileno(self) -> int:
-        """Descriptor that `select` waits for."""
+        """Return the descriptor that `select` waits for."""
 
     def carry(self) -> None:
         """Pass on what has arrived on either side."""
@@ -67,34 +67,34 @@ class Bridge(Protocol):
 class CanBridge:
     """A real CAN bus joined to the emulated segment."""
 
-    def __init__(self, address: str, real: HostSide, wire: CanWire) -> None:
-        self.address, self.real = address, real
-        self._inner = EmulatedCanBus(wire)
+    def __init__(self, address: str, real_bus: HostSide, wire: CanWire) -> None:
+        self.address, self.real_bus = address, real_bus
+        self._emulated_bus = EmulatedCanBus(wire)
 
     def fileno(self) -> int:
-        """Descriptor that `select` waits for."""
-        return self.real.fileno()
+        """Return the descriptor that `select` waits for."""
+        return self.real_bus.fileno()
 
     def carry(self) -> None:
         """Pass on the frames of both sides, up to a limit: a busy host must not hold up the bench's time."""
         for _ in range(MOST_FRAMES_AT_ONCE):
-            message = self.real.recv(0.0)
+            message = self.real_bus.recv(0.0)
             if message is None:
                 break
             if message.is_fd or not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
-                with suppress(can.CanOperationError):  # the emulated bus is off: what the host has sent is lost
-                    self._inner.send(message)
-                self._answer()
-        self._answer()
+                with suppress(can.CanOperationError):  # the emulated bus is off: the host's frame is lost
+                    self._emulated_bus.send(message)
+                self._pass_answers()
+        self._pass_answers()
 
-    def _answer(self) -> None:
-        while self._inner.arrived:
-            self.real.send(message_of(self._inner.arrived.popleft()))
+    def _pass_answers(self) -> None:
+        while self._emulated_bus.arrived:
+            self.real_bus.send(message_of(self._emulated_bus.arrived.popleft()))
 
     def close(self) -> None:
         """Close both sides."""
-        self._inner.shutdown()
-        self.real.shutdown()
+        self._emulated_bus.shutdown()
+        self.real_bus.shutdown()
 
 
 class SerialBridge:
@@ -103,21 +103,21 @@ class SerialBridge:
     def __init__(self, wire: SerialWire) -> None:
         self._terminal = PseudoTerminal()
         self.address = f"serial on {self._terminal.path}"
-        self._inner = EmulatedSerialLine(wire)
+        self._emulated_line = EmulatedSerialLine(wire)
 
     def fileno(self) -> int:
-        """Descriptor that `select` waits for."""
+        """Return the descriptor that `select` waits for."""
         return self._terminal.fileno()
 
     def carry(self) -> None:
         """Pass on the bytes of both sides."""
-        self._inner.write(self._terminal.read())
-        if answer := self._inner.read(0.0):
+        self._emulated_line.write(self._terminal.read())
+        if answer := self._emulated_line.read(0.0):
             self._terminal.write(answer)
 
     def close(self) -> None:
         """Close both sides."""
-        self._inner.close()
+        self._emulated_line.close()
         self._terminal.close()
 
 
@@ -127,23 +127,23 @@ class SocketBridge:
     def __init__(self, wire: SerialWire) -> None:
         self._server, self._wire = ListeningSocket(), wire
         self.address = f"visa on {self._server.resource}"
-        self._inner = EmulatedSerialLine(wire)
+        self._emulated_line = EmulatedSerialLine(wire)
 
     def fileno(self) -> int:
-        """Descriptor that `select` waits for."""
+        """Return the descriptor that `select` waits for."""
         return self._server.fileno()
 
     def carry(self) -> None:
         """Pass on the bytes of both sides; answers for an earlier client than the present one are dropped."""
         if self._server.accept():
-            self._inner = EmulatedSerialLine(self._wire)
-        self._inner.write(self._server.read())
-        if answer := self._inner.read(0.0):
+            self._emulated_line = EmulatedSerialLine(self._wire)
+        self._emulated_line.write(self._server.read())
+        if answer := self._emulated_line.read(0.0):
             self._server.write(answer)
 
     def close(self) -> None:
         """Close both sides."""
-        self._inner.close()
+        self._emulated_line.close()
         self._server.close()
 
 
@@ -162,7 +162,7 @@ class StubChip:
         self._bus.write_word_data(self._address, register, swap_bytes(value))
 
     def carry(self, now: float) -> None:
-        """Let the far end update the chip once; an unplugged chip is still there, but converts no more."""
+        """Let the far end update the registers; those of an unplugged chip can be read, but do not change any more."""
         if self._keeper not in self._silent:
             self._keeper.keep(self, now)
 
@@ -175,26 +175,26 @@ def bridge_buses(
 
     Raises
     ------
-    InputError : the bus of the file exists in one process only.
-    DeviceError : the bus is absent or refuses.
+    InputError : a bus of the file exists in one process only.
+    DeviceError : a bus is absent or cannot be opened.
     """
-    with ExitStack() as opened:
+    with ExitStack() as open_bridges:
         bridges: dict[str, Bridge] = {}
         for name, bus in file.buses.items():
             if isinstance(bus, CanBus):
-                address, real = _real_side(name, bus)
-                bridges[name] = CanBridge(address, real, wires[name])
+                address, real_bus = _open_real_bus(name, bus)
+                bridges[name] = CanBridge(address, real_bus, wires[name])
             elif isinstance(bus, SerialBus):
                 bridges[name] = SerialBridge(serial_wires[name])
             elif isinstance(bus, VisaBus):
                 bridges[name] = SocketBridge(serial_wires[name])
             else:
                 continue
-            opened.callback(bridges[name].close)
+            open_bridges.callback(bridges[name].close)
         yield bridges
 
 
-def _real_side(name: str, bus: CanBus) -> tuple[str, HostSide]:
+def _open_real_bus(name: str, bus: CanBus) -> tuple[str, HostSide]:
     if bus.interface == "pty":
         adapter = SlcanAdapter()
         return f"slcan on {adapter.path}", adapter
@@ -210,37 +210,37 @@ def _real_side(name: str, bus: CanBus) -> tuple[str, HostSide]:
 
 
 def stub_bus(number: int, root: Path = Path("/")) -> SmBus | None:
-    """The i2c-stub of this number; None if that bus is no stub, so that no real chip is ever written to."""
-    name = root / f"sys/class/i2c-dev/i2c-{number}/name"
-    if not name.is_file() or not name.read_text(encoding="ascii").startswith(STUB_NAME):
+    """Return the bus of an i2c-stub; None if the bus is no stub, so that no real chip is ever written to."""
+    name_file = root / f"sys/class/i2c-dev/i2c-{number}/name"
+    if not name_file.is_file() or not name_file.read_text(encoding="ascii").startswith(STUB_NAME):
         return None
     return MachineWiring().i2c("stub", I2cBus(kind="i2c", number=number))()
 
 
 def stub_chips(file: BenchFile, bench: EmulatedBench) -> dict[str, list[StubChip]]:
-    """Chips of i2c-stub for every I2C bus of the file, by bus; empty for a bus whose number is no stub.
+    """Return the chips of i2c-stub by I2C bus of the file; none for a bus whose number is not that of a stub.
 
     Raises
     ------
     InputError : a device's far end cannot keep the registers of a stub.
-    DeviceError : the stub refuses.
+    DeviceError : the stub cannot be opened.
     """
     chips: dict[str, list[StubChip]] = {}
     for name, bus in file.buses.items():
         if not isinstance(bus, I2cBus):
             continue
         try:
-            stub = stub_bus(bus.number)
+            stub_port = stub_bus(bus.number)
         except OSError as error:
             raise DeviceError(f"bus '{name}': {error}") from None
         chips[name] = []
-        emulated = bench.i2c_buses[name]
-        for address, far_end in emulated.devices.items():
-            if stub is None:
+        emulated_bus = bench.i2c_buses[name]
+        for address, far_end in emulated_bus.devices.items():
+            if stub_port is None:
                 continue
             if not isinstance(far_end, StoreKeeper):
                 raise InputError(f"bus '{name}': the emulator at address 0x{address:02X} cannot stand behind i2c-stub")
-            chips[name].append(StubChip(stub, address, far_end, emulated.silent))
+            chips[name].append(StubChip(stub_port, address, far_end, emulated_bus.silent))
     return chips
 
 
@@ -251,13 +251,13 @@ def serve(clock: EmulatedClock, bridges: Sequence[Bridge], chips: Sequence[StubC
     ------
     DeviceError : a real bus failed.
     """
-    began = time.monotonic() - clock.now()
-    handles = [bridge.fileno() for bridge in bridges]
-    pace = LONGEST_STUB_LAG_S if chips else LONGEST_LAG_S
+    start_time = time.monotonic() - clock.now()
+    descriptors = [bridge.fileno() for bridge in bridges]
+    longest_wait = LONGEST_STUB_LAG_S if chips else LONGEST_LAG_S
     try:
         while not stop():
-            select.select(handles, [], [], pace)
-            clock.sleep_until(time.monotonic() - began)
+            select.select(descriptors, [], [], longest_wait)
+            clock.sleep_until(time.monotonic() - start_time)
             for bridge in bridges:
                 bridge.carry()
             for chip in chips:

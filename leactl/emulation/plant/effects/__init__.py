@@ -1,7 +1,7 @@
 """Effects that the nominal plant does not have: the subclasses of `PlantEffect` in the modules of this package.
 
-Each is a frozen dataclass whose fields carry their range; `PlantBusSag` is the effect `bus_sag`. To add an effect, add
-its class to the module of its family, or a module of its own: the package is listed, and nothing else is edited.
+Each is a frozen dataclass whose fields have ranges; `PlantBusSag` is the effect `bus_sag`. To add an effect, add its
+class to the module of its family or to a new module of this package: `known_effects` finds it.
 """
 
 import importlib
@@ -16,10 +16,10 @@ __all__ = ["PlantEffect", "known_effects", "make_effect"]
 
 
 def known_effects() -> dict[str, type[PlantEffect]]:
-    """Map the name of each effect to its class, in the order of the names."""
+    """Return the class of each effect by its name, in the order of the names."""
     effects: dict[str, type[PlantEffect]] = {}
-    for entry in pkgutil.iter_modules(__path__):
-        module = importlib.import_module(f"{__name__}.{entry.name}")
+    for module_info in pkgutil.iter_modules(__path__):
+        module = importlib.import_module(f"{__name__}.{module_info.name}")
         for member in vars(module).values():
             is_defined_here = isinstance(member, type) and member.__module__ == module.__name__
             if is_defined_here and issubclass(member, PlantEffect) and member is not PlantEffect:

@@ -13,7 +13,7 @@ from leactl.emulation.plant.parameters import bounded
 class PlantCogging(PlantEffect):
     """Torque that depends on the rotor's angle alone: teeth against magnets.
 
-    Torque = amplitude [sin(order angle + phase) + a sixth of it at twice the order].
+    Torque = amplitude (sin x + sin(2 x) / 6), where x = order angle + phase.
     """
 
     adds_torque: ClassVar[bool] = True
@@ -22,17 +22,17 @@ class PlantCogging(PlantEffect):
     phase: float = bounded(0.0, -7.0, 7.0)  # rad
 
     def torque(self, angle: Value, velocity: Value) -> Value:
-        """Sum the fundamental and the second harmonic; flat-topped teeth give both."""
-        turn = self.order * angle + self.phase
-        sine = np.sin(turn)
-        return self.amplitude * sine * (1.0 + np.cos(turn) / 3.0)
+        """Return the sum of the fundamental and the second harmonic [N*m]; flat-topped teeth give both."""
+        period_angle = self.order * angle + self.phase
+        sine = np.sin(period_angle)
+        return self.amplitude * sine * (1.0 + np.cos(period_angle) / 3.0)
 
 
 @dataclass(frozen=True)
 class PlantTorqueRipple(PlantEffect):
     """Torque constant that varies with the rotor's angle.
 
-    Torque constant x (1 + amplitude [sin(order angle + phase) + a fifth of it at twice the order]).
+    Torque constant x (1 + amplitude (sin x + sin(2 x) / 5)), where x = order angle + phase.
     """
 
     amplitude: float = bounded(0.0, 0.0, 1.0)
@@ -40,25 +40,25 @@ class PlantTorqueRipple(PlantEffect):
     phase: float = bounded(0.0, -7.0, 7.0)  # rad
 
     def torque_share(self, now: Now) -> Value:
-        """Sum the fundamental and the second harmonic of the back-EMF's departure from a sine."""
-        turn = self.order * now.angle + self.phase
-        sine = np.sin(turn)
-        return 1.0 + self.amplitude * sine * (1.0 + 0.4 * np.cos(turn))
+        """Return one plus the fundamental and the second harmonic of the back-EMF's departure from a sine."""
+        period_angle = self.order * now.angle + self.phase
+        sine = np.sin(period_angle)
+        return 1.0 + self.amplitude * sine * (1.0 + 0.4 * np.cos(period_angle))
 
 
 @dataclass(frozen=True)
 class PlantGravityLoad(PlantEffect):
-    """Gravity on an arm.
+    """Gravity on an arm that is `phase` above the horizontal at angle zero.
 
-    A weight on an arm that is `phase` above level at angle zero; the torque falls as the arm rises.
+    Torque = -amplitude cos(angle + phase).
     """
 
     adds_torque: ClassVar[bool] = True
-    amplitude: float = bounded(0.0, 0.0, 100.0)  # N*m, held out level
+    amplitude: float = bounded(0.0, 0.0, 100.0)  # N*m, with the arm horizontal
     phase: float = bounded(0.0, -7.0, 7.0)  # rad
 
     def torque(self, angle: Value, velocity: Value) -> Value:
-        """Pull the arm down, in whichever direction it moves; the lever is the horizontal reach of the arm."""
+        """Return the torque of the weight [N*m], whose lever is the horizontal reach of the arm."""
         reach = np.cos(angle) * np.cos(self.phase) - np.sin(angle) * np.sin(self.phase)
         return -self.amplitude * reach
 
@@ -75,7 +75,7 @@ class PlantUnbalance(PlantEffect):
     phase: float = bounded(0.0, -7.0, 7.0)  # rad
 
     def torque(self, angle: Value, velocity: Value) -> Value:
-        """Gravity torque of an eccentric mass at an angle."""
+        """Return the gravity torque of an eccentric mass at an angle [N*m]."""
         return self.amplitude * np.sin(angle + self.phase)
 
 
@@ -86,7 +86,7 @@ HALF_TORQUE_ANGLE = 25.0  # rad (four turns) from the rest angle, at which slip 
 class PlantPositionSpring(PlantEffect):
     """A cable that pulls the shaft back to a rest angle.
 
-    Torque = -stiffness x / (1 + |x| / a few turns), where x is the angle from the rest angle.
+    Torque = -stiffness x / (1 + |x| / HALF_TORQUE_ANGLE), where x is the angle from the rest angle.
     """
 
     adds_torque: ClassVar[bool] = True
@@ -94,6 +94,6 @@ class PlantPositionSpring(PlantEffect):
     rest_angle: float = bounded(0.0, -1e6, 1e6)  # rad
 
     def torque(self, angle: Value, velocity: Value) -> Value:
-        """Follow Hooke's law near the rest angle; further away the cable slips on its drum."""
+        """Return the torque [N*m]: Hooke's law near the rest angle, less further away, where the cable slips."""
         deflection = angle - self.rest_angle
         return -self.stiffness * deflection / (1.0 + np.abs(deflection) / HALF_TORQUE_ANGLE)

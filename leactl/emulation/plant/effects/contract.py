@@ -1,4 +1,4 @@
-"""What an effect may change in the plant; a method that an effect does not override changes nothing.
+"""Base class of the effects: an effect overrides the methods for what it changes in the plant.
 
 The rig (exact steps, one bench) calls `torque`, `sense_current` and `sense_torque`. The stepped plant calls all
 methods, each over many lanes at once: an effect made by `stacked` holds arrays where a single effect holds numbers,
@@ -16,7 +16,7 @@ from leactl.emulation.plant.parameters import Checked
 from leactl.errors import InputError
 
 Value: TypeAlias = Any  # a number in the rig, an array over lanes in the stepped plant
-Path: TypeAlias = Callable[[Value], Value]  # takes a signal once per step and returns the changed one
+Path: TypeAlias = Callable[[Value], Value]  # called with a signal once a step; returns the changed signal
 
 
 class Now:
@@ -33,7 +33,7 @@ class Now:
 
 @dataclass(frozen=True)
 class PlantEffect(Checked):
-    """One effect that the nominal plant lacks, on one actuator."""
+    """One effect that the nominal plant lacks, on one actuator; a method that is not overridden changes nothing."""
 
     adds_torque: ClassVar[bool] = False
     needs_whole_record: ClassVar[bool] = False  # `torque_record` uses later samples, which a live bench does not have
@@ -46,7 +46,7 @@ class PlantEffect(Checked):
 
     @classmethod
     def effect_name(cls) -> str:
-        """Return the name that files and the vocabulary have for the effect: `bus_sag` for `PlantBusSag`."""
+        """Return the name of the effect in files and in the vocabulary: `bus_sag` for `PlantBusSag`."""
         return re.sub("(?<!^)(?=[A-Z])", "_", cls.__name__.removeprefix("Plant")).lower()
 
     @classmethod
@@ -63,124 +63,124 @@ class PlantEffect(Checked):
     # ------------------------------------------------------------ rig and stepped plant
 
     def torque(self, angle: Value, velocity: Value) -> Value:
-        """Torque on the rotor [N*m], called at most every 0.25 ms, for effects with `adds_torque`."""
+        """Return the torque on the rotor [N*m], if `adds_torque`; called at intervals of 0.25 ms at most."""
         return 0.0
 
     def sense_current(self, current: Value) -> Value:
-        """Reading of the drive's current sensor at a current [A]; affine, because the current loop closes over it."""
+        """Return the drive's reading of a current [A]; it must be affine, as the current loop closes over it."""
         return current
 
     def sense_torque(self, torque: Value) -> Value:
-        """Reading of the shaft's torque sensor at a torque [N*m]; the role does not matter."""
+        """Return the reading of the shaft's torque sensor at a torque [N*m]; the effect's role does not matter."""
         return torque
 
     # ------------------------------------------------------------ stepped plant: mechanics
 
     def shaft_stiffness(self, nominal: Value) -> Value:
-        """Stiffness of the shaft [N*m/rad]."""
+        """Return the stiffness of the shaft [N*m/rad] in place of the nominal one."""
         return nominal
 
     def transmitted_twist(self, twist: Value) -> Value:
-        """Part of the twist between the actuators that strains the shaft [rad]."""
+        """Return the part of the twist between the actuators that strains the shaft [rad]."""
         return twist
 
     def torque_share(self, now: Now) -> Value:
-        """Factor on the torque constant at this angle and current."""
+        """Return the factor on the torque constant at the present angle and current."""
         return 1.0
 
     def coulomb(self, level: Value, now: Now) -> Value:
-        """Coulomb friction [N*m] that replaces the nominal `level`."""
+        """Return the Coulomb friction [N*m] that replaces `level`, which is nominal or another effect's."""
         return level
 
     def friction_share(self, now: Now) -> Value:
-        """Factor on viscous damping and Coulomb friction, called every millisecond."""
+        """Return the factor on viscous damping and Coulomb friction; called every millisecond."""
         return 1.0
 
     def friction_path(self, lanes: int, step_s: float) -> Callable[[Value, Value], Value] | None:
-        """Coulomb friction with a memory: a function of level and velocity that returns a torque on the rotor."""
+        """Return a function of level [N*m] and velocity [rad/s] for the torque of friction with a memory [N*m]."""
         return None
 
     def rotor_path(self, lanes: int, step_s: float) -> Callable[[Now], Value] | None:
-        """A torque on the rotor [N*m] with a memory, or that depends on more than angle and velocity."""
+        """Return a function for a torque [N*m] that has a memory, or depends on more than angle and velocity."""
         return None
 
     # ------------------------------------------------------------ stepped plant: electrics
 
     def magnet_share(self, now: Now) -> Value:
-        """Factor on torque constant and back-EMF constant, called every millisecond."""
+        """Return the factor on torque constant and back-EMF constant; called every millisecond."""
         return 1.0
 
     def resistance_share(self, winding: Value, time: float) -> Value:
-        """Factor on the winding resistance."""
+        """Return the factor on the winding resistance at a winding temperature [degC] and a time of the run [s]."""
         return 1.0
 
     def reference_path(self, lanes: int, step_s: float) -> Path | None:
-        """Function that changes the reference of the current loop [A]."""
+        """Return a function that changes the reference of the current loop [A]."""
         return None
 
     def bounded_reference(self, reference: Value, torque_constant: Value, velocity: Value) -> Value:
-        """Current reference [A] within the limits of the drive, called every millisecond."""
+        """Return the current reference [A] within the limits of the drive; called every millisecond."""
         return reference
 
     def lost_voltage(self, current: Value) -> Value:
-        """Voltage that the drive applies but that does not reach the winding [V]."""
+        """Return the voltage that the drive applies but that does not reach the winding [V]."""
         return 0.0
 
     def bus_voltage(self, source: Value, power: Value) -> Value:
-        """DC link voltage [V] while a power [W] is drawn."""
+        """Return the DC link voltage [V] while a power [W] is drawn from a source voltage [V]."""
         return source
 
     # ------------------------------------------------------------ stepped plant: sensors
 
     def encoder_error(self, angle: Value) -> Value:
-        """Error of the encoder [rad] at an angle."""
+        """Return the error of the encoder [rad] at an angle [rad]."""
         return 0.0
 
     def velocity_path(self, lanes: int, step_s: float) -> Path | None:
-        """Function that changes the velocity after the drive's filter."""
+        """Return a function that changes the velocity [rad/s] after the drive's filter."""
         return None
 
     def torque_path(self, lanes: int, step_s: float) -> Path | None:
-        """Function that changes the torque after the sensor's filter."""
+        """Return a function that changes the torque [N*m] after the sensor's filter."""
         return None
 
     def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
-        """Torque that the sensor records over a whole run; arrays have one column per lane."""
+        """Return the torque [N*m] that the sensor records in a run; arrays have one row for each time [s]."""
         return torque
 
     def angle_record(self, angle: Value, time: Value) -> Value:
-        """Angle that the encoder records over a whole run; arrays have one column per lane."""
+        """Return the angle [rad] that the encoder records in a run; arrays have one row for each time [s]."""
         return angle
 
     # ------------------------------------------------------------ stepped plant: heat
 
     def ambient_error(self, time: float) -> Value:
-        """True ambient minus the logged one [K]."""
+        """Return the true ambient temperature minus the logged one [K] at a time of the run [s]."""
         return 0.0
 
     def housing_conductance(self, rise: Value, speed: Value) -> Value:
-        """Factor on the conductance from housing to ambient, at a rise of the housing [K] and a speed [rad/s]."""
+        """Return the factor on the conductance of housing to ambient, at its rise [K] and a speed [rad/s]."""
         return 1.0
 
     def housing_heat(self, friction_power: Value) -> Value:
-        """Heat into the housing [W] at a friction power [W]."""
+        """Return the heat into the housing [W] at a friction power [W]."""
         return 0.0
 
     def fixture(self) -> tuple[Value, Value] | None:
-        """Heat capacity of a fixture on the housing [J/K] and the thermal resistance between them [K/W]."""
+        """Return the heat capacity of a fixture [J/K] and its thermal resistance to the housing [K/W], or None."""
         return None
 
     def camera_reading(self, temperature: Value, ambient: Value) -> Value:
-        """Temperature that the camera reads [degC]."""
+        """Return the temperature that the camera reads [degC]."""
         return temperature
 
 
 HOOKS = tuple(name for name, member in vars(PlantEffect).items() if callable(member) and not name.startswith("_"))
-"""Names of the methods that an effect may override."""
+"""Names of the methods of `PlantEffect`, which an effect may override."""
 RIG_HOOKS = ("torque", "sense_current", "sense_torque")
 """Names of the hooks that the rig calls."""
 
 
 def own_hooks(effect: PlantEffect) -> list[str]:
-    """Names of the hooks that an effect overrides."""
+    """Return the names of the hooks that an effect overrides."""
     return [hook for hook in HOOKS if getattr(type(effect), hook) is not getattr(PlantEffect, hook)]

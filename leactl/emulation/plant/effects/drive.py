@@ -13,13 +13,13 @@ from leactl.emulation.plant.parameters import bounded
 class PlantTransportDelay(PlantEffect):
     """A drive whose current follows its reference after a delay, as from a fieldbus or a slow cycle.
 
-    The current loop gets the reference of `delay` earlier.
+    The current loop gets the reference of a time `delay` before.
     """
 
     delay: float = bounded(0.0, 0.0, 0.5)  # s
 
     def reference_path(self, lanes: int, step_s: float) -> Path:
-        """Return the delay of the reference."""
+        """Return the delay line of the reference."""
         return Delay(self.delay, lanes, step_s)
 
 
@@ -34,12 +34,16 @@ class PlantCommandSlewLimit(PlantEffect):
 
     def reference_path(self, lanes: int, step_s: float) -> Path:
         """Return a function that moves towards the reference by at most rate x step."""
-        limited = np.zeros(lanes)
-        most = self.rate * step_s
+        limited_reference = np.zeros(lanes)
+        highest_change = self.rate * step_s
 
         def step(reference: Value) -> Value:
-            np.add(limited, np.minimum(np.maximum(reference - limited, -most), most), out=limited)
-            return limited
+            np.add(
+                limited_reference,
+                np.minimum(np.maximum(reference - limited_reference, -highest_change), highest_change),
+                out=limited_reference,
+            )
+            return limited_reference
 
         return step
 
@@ -54,11 +58,11 @@ class PlantTorqueLimit(PlantEffect):
     current: float = bounded(1e4, 1e-3, 1e6)  # A
 
     def bounded_reference(self, reference: Value, torque_constant: Value, velocity: Value) -> Value:
-        """Clip the reference at the maximum, in both directions."""
+        """Return the reference [A], clipped at the maximum in both directions."""
         return np.minimum(np.maximum(reference, -self.current), self.current)
 
 
-LEAST_SPEED = 1e-6  # rad/s, below which the limit stays constant
+LEAST_SPEED = 1e-6  # rad/s; below it the limit is constant, since at zero it would be infinite
 
 
 @dataclass(frozen=True)
@@ -71,9 +75,9 @@ class PlantPowerFoldback(PlantEffect):
     power: float = bounded(1e6, 1e-3, 1e9)  # W
 
     def bounded_reference(self, reference: Value, torque_constant: Value, velocity: Value) -> Value:
-        """Limit the current so that torque constant times velocity times current stays within the power."""
-        most = self.power / (torque_constant * np.maximum(np.abs(velocity), LEAST_SPEED))
-        return np.minimum(np.maximum(reference, -most), most)
+        """Return the reference [A], limited so that torque constant x velocity x current stays within the power."""
+        highest_current = self.power / (torque_constant * np.maximum(np.abs(velocity), LEAST_SPEED))
+        return np.minimum(np.maximum(reference, -highest_current), highest_current)
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ class PlantVoltageLimit(PlantEffect):
     no_load_speed: float = bounded(1e6, 1e-3, 1e9)  # rad/s
 
     def bounded_reference(self, reference: Value, torque_constant: Value, velocity: Value) -> Value:
-        """Limit the current to what the difference of voltage and back-EMF drives through the winding."""
+        """Return the reference [A], limited to what voltage less back-EMF drives through the winding."""
         back_emf = self.stall_current * velocity / self.no_load_speed
         return np.minimum(np.maximum(reference, -self.stall_current - back_emf), self.stall_current - back_emf)
 
@@ -103,7 +107,7 @@ class PlantDeadTime(PlantEffect):
     current: float = bounded(0.3, 1e-3, 100.0)  # A
 
     def lost_voltage(self, current: Value) -> Value:
-        """Rise with the current and saturate."""
+        """Return the loss [V], which rises with the current and saturates."""
         return self.voltage * current / np.hypot(current, self.current)
 
 
@@ -117,5 +121,5 @@ class PlantBusSag(PlantEffect):
     resistance: float = bounded(0.0, 0.0, 10.0)  # ohm
 
     def bus_voltage(self, source: Value, power: Value) -> Value:
-        """Return the upper root of the quadratic; half the source voltage if the source cannot supply the power."""
+        """Return the upper root of the quadratic [V], or half the source's voltage if it cannot supply the power."""
         return 0.5 * (source + np.sqrt(np.maximum(source * source - 4.0 * self.resistance * power, 0.0)))

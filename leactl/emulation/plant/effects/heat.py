@@ -13,13 +13,13 @@ from leactl.emulation.plant.parameters import bounded
 class PlantAmbientDrift(PlantEffect):
     """Ambient temperature that departs from the logged one.
 
-    Half a cosine over two hours, `change` at its end.
+    The departure follows half a cosine over two hours, and is `change` from then on.
     """
 
     change: float = bounded(0.0, -50.0, 50.0)  # K
 
     def ambient_error(self, time: float) -> Value:
-        """Follow half a cosine: slow at first, as when a door stays open."""
+        """Return the departure [K], which begins slowly, as when a door stays open."""
         return self.change * 0.5 * (1.0 - math.cos(math.pi * min(time / 7200.0, 1.0)))
 
 
@@ -27,13 +27,13 @@ class PlantAmbientDrift(PlantEffect):
 class PlantRotationalHeat(PlantEffect):
     """Friction and iron loss that heat the machine.
 
-    Heat into the housing = fraction x (b w^2 + f |w|).
+    Heat into the housing = fraction x (b w^2 + f |w|), with viscous damping b and Coulomb friction f.
     """
 
     fraction: float = bounded(0.0, 0.0, 10.0)
 
     def housing_heat(self, friction_power: Value) -> Value:
-        """Return a fraction of the friction power."""
+        """Return a fraction of the friction power [W]."""
         return self.fraction * friction_power
 
 
@@ -62,7 +62,7 @@ class PlantForcedConvection(PlantEffect):
     coefficient: float = bounded(0.0, 0.0, 10.0)  # s/rad
 
     def housing_conductance(self, rise: Value, speed: Value) -> Value:
-        """Increase the conductance with speed."""
+        """Return a factor on the conductance that grows with speed."""
         return (1.0 + 1.25 * self.coefficient * np.abs(speed)) ** 0.8
 
 
@@ -76,5 +76,5 @@ class PlantNonlinearConvection(PlantEffect):
     coefficient: float = bounded(0.0, 0.0, 1.0)  # 1/K
 
     def housing_conductance(self, rise: Value, speed: Value) -> Value:
-        """Increase the conductance with the magnitude of the rise."""
+        """Return a factor on the conductance that grows with the magnitude of the rise."""
         return np.sqrt(1.0 + 2.0 * self.coefficient * np.abs(rise))

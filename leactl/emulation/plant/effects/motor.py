@@ -18,7 +18,7 @@ class PlantMagnetTemperature(PlantEffect):
     coefficient: float = bounded(0.0, 0.0, 0.05)  # 1/K
 
     def magnet_share(self, now: Now) -> Value:
-        """Scale torque constant and back-EMF constant by one factor."""
+        """Return one factor for torque constant and back-EMF constant."""
         return np.exp(-self.coefficient * (now.housing - 25.0))
 
 
@@ -32,7 +32,7 @@ class PlantResistanceTemperature(PlantEffect):
     coefficient: float = bounded(0.0, 0.0, 0.02)  # 1/K
 
     def resistance_share(self, winding: Value, time: float) -> Value:
-        """Increase linearly, as copper does within 1 % up to 150 degC."""
+        """Return a factor that grows linearly, as that of copper does within 1 % up to 150 degC."""
         return 1.0 + self.coefficient * (winding - 25.0)
 
 
@@ -46,6 +46,6 @@ class PlantSaturation(PlantEffect):
     loss: float = bounded(0.0, 0.0, 0.9)
 
     def torque_share(self, now: Now) -> Value:
-        """Reduce the torque constant alike for both signs of the current."""
+        """Return the factor on the torque constant, which is the same for both signs of the current."""
         steepness = ((1.0 - self.loss) ** -2 - 1.0) / 625.0
         return 1.0 / np.sqrt(1.0 + steepness * now.current * now.current)

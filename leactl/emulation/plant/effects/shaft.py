@@ -18,20 +18,20 @@ class PlantBacklash(PlantEffect):
     width: float = bounded(0.0, 0.0, 1.0)  # rad
 
     def transmitted_twist(self, twist: Value) -> Value:
-        """Subtract the play from the twist; zero within the play."""
-        half = 0.5 * self.width
-        return twist - np.minimum(np.maximum(twist, -half), half)
+        """Return the twist [rad] less half the play; zero within the play."""
+        half_width = 0.5 * self.width
+        return twist - np.minimum(np.maximum(twist, -half_width), half_width)
 
 
 @dataclass(frozen=True)
 class PlantShaftCompliance(PlantEffect):
-    """A shaft or sensor much softer than the model's.
+    """A shaft or torque sensor that is much softer than the model's.
 
-    The stiffness of shaft and torque sensor in series, in place of the bench's.
+    `stiffness` is that of shaft and torque sensor in series; it replaces the bench's.
     """
 
     stiffness: float = bounded(6000.0, 1.0, 1e7)  # N*m/rad
 
     def shaft_stiffness(self, nominal: Value) -> Value:
-        """Return this stiffness in place of the nominal one."""
+        """Return this stiffness [N*m/rad] in the shape of the nominal one, which it replaces."""
         return self.stiffness + 0.0 * nominal

@@ -1,4 +1,4 @@
-"""Torque sensors whose readings differ from the shaft's torque, or are late."""
+"""Torque sensors whose readings differ from the shaft's torque, or come late."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -20,7 +20,7 @@ class PlantTorqueSensorGain(PlantEffect):
     gain: float = bounded(1.0, 0.1, 10.0)
 
     def sense_torque(self, torque: float) -> float:
-        """Multiply the torque by the gain."""
+        """Return the torque [N*m] times the gain."""
         return self.gain * torque
 
 
@@ -34,7 +34,7 @@ class PlantTorqueSensorOffset(PlantEffect):
     offset: float = bounded(0.0, -100.0, 100.0)  # N*m
 
     def sense_torque(self, torque: float) -> float:
-        """Add the offset to the torque."""
+        """Return the torque plus the offset [N*m]."""
         return torque + self.offset
 
 
@@ -42,13 +42,13 @@ class PlantTorqueSensorOffset(PlantEffect):
 class PlantTorqueSensorDrift(PlantEffect):
     """A torque channel whose zero drifts with time.
 
-    Zero = rate x time, levelling off over ten minutes as an amplifier warms.
+    Zero = rate T (1 - exp(-time / T)): it levels off over T = ten minutes, as an amplifier warms.
     """
 
     rate: float = bounded(0.0, -1.0, 1.0)  # N*m/s
 
     def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
-        """Add the drift of the zero."""
+        """Return the torque plus the drift of the zero [N*m]."""
         return torque + self.rate * 600.0 * -np.expm1(-time / 600.0)
 
 
@@ -63,11 +63,11 @@ class PlantTorqueSensorCrosstalk(PlantEffect):
     phase: float = bounded(0.0, -7.0, 7.0)  # rad
 
     def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
-        """Add the reading that bending causes."""
+        """Return the torque plus the reading that bending causes [N*m]."""
         return torque + self.amplitude * np.sin(angle + self.phase)
 
 
-REACH_SHARES = np.array([0.1, 0.25, 0.5])  # reach of each slider over the torque's swing
+REACH_SHARES = np.array([0.1, 0.25, 0.5])  # reach of each slider over the amplitude of the torque
 
 
 @dataclass(frozen=True)
@@ -81,18 +81,18 @@ class PlantTorqueSensorHysteresis(PlantEffect):
     width: float = bounded(0.0, 0.0, 0.5)  # half width of the loop as a share of the record's torque swing
 
     def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
-        """Subtract the mean torque that the sliders hold back, which is limited by the reach of each."""
+        """Return the torque less the mean torque that the sliders hold, which the reach of each limits [N*m]."""
         swing = 0.5 * (torque.max(axis=0) - torque.min(axis=0)) + 1e-9
         reach = REACH_SHARES[:, None] * swing
-        share = self.width / REACH_SHARES.mean()
-        held = np.zeros_like(reach)
-        before = torque[0]
+        reading_per_held = self.width / REACH_SHARES.mean()
+        held_torque = np.zeros_like(reach)
+        previous_torque = torque[0]
         reading = np.empty_like(torque)
-        for k, now in enumerate(torque):
-            np.add(held, now - before, out=held)
-            np.minimum(np.maximum(held, -reach, out=held), reach, out=held)
-            reading[k] = now - share * held.mean(axis=0)
-            before = now
+        for k, present_torque in enumerate(torque):
+            np.add(held_torque, present_torque - previous_torque, out=held_torque)
+            np.minimum(np.maximum(held_torque, -reach, out=held_torque), reach, out=held_torque)
+            reading[k] = present_torque - reading_per_held * held_torque.mean(axis=0)
+            previous_torque = present_torque
         return reading
 
 
@@ -114,11 +114,11 @@ class PlantTorqueSensorLag(PlantEffect):
 class PlantTimeSkew(PlantEffect):
     """A torque stream that is late relative to the drive's streams.
 
-    The torque reading shows the torque of `delay` earlier.
+    The reading is the torque of a time `delay` before.
     """
 
     delay: float = bounded(0.0, 0.0, 0.5)  # s
 
     def torque_path(self, lanes: int, step_s: float) -> Path:
-        """Return the delay of the torque reading."""
+        """Return the delay line of the torque reading."""
         return Delay(self.delay, lanes, step_s)

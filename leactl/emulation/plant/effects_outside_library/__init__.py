@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 
 
 def unlisted_effects() -> "dict[str, type[Unlisted]]":
-    """Map the name of each effect to its class, in the order of the names."""
+    """Return the class of each effect by its name, in the order of the names."""
     from leactl.emulation.plant.effects_outside_library.drawn import Unlisted
 
     effects: dict[str, type[Unlisted]] = {}
-    for entry in pkgutil.iter_modules(__path__):
-        module = importlib.import_module(f"{__name__}.{entry.name}")
+    for module_info in pkgutil.iter_modules(__path__):
+        module = importlib.import_module(f"{__name__}.{module_info.name}")
         for member in vars(module).values():
             if isinstance(member, type) and issubclass(member, Unlisted) and member.__module__ == module.__name__:
                 effects[member.effect_name()] = member

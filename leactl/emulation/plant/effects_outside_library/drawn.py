@@ -1,4 +1,4 @@
-"""Base class of the effects of this package, each drawn at a size given by one number."""
+"""Base class of the effects of this package: each can be drawn at random with a given size."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -18,10 +18,10 @@ class Unlisted(PlantEffect):
         raise NotImplementedError
 
     def afresh(self, draw: np.random.Generator) -> Self:
-        """The same effect in another run, with its random times drawn again if it has any."""
+        """Return the same effect for another run, with its random times drawn again if it has any."""
         return self
 
 
 def between(low: float, high: float, size: float) -> float:
-    """Interpolate between `low` (size 0) and `high` (size 1) on a logarithmic scale."""
+    """Return the value at a size between `low` (size 0) and `high` (size 1), on a logarithmic scale."""
     return float(low * (high / low) ** size)

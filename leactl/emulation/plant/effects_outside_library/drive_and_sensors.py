@@ -47,7 +47,7 @@ class LooseTerminal(Unlisted):
 
     @classmethod
     def drawn(cls, draw: np.random.Generator, size: float) -> Self:
-        """Draw a rise by 3 to 50 % of the resistance, for a fifth of the time."""
+        """Draw a rise by 3 to 50 % of the resistance with a period of 3 to 9 s."""
         return cls(
             share=between(0.03, 0.5, size), period=float(draw.uniform(3.0, 9.0)), phase=float(draw.uniform(0.0, 6.28))
         )
@@ -57,9 +57,9 @@ class LooseTerminal(Unlisted):
         return replace(self, phase=float(draw.uniform(0.0, 6.28)))
 
     def resistance_share(self, winding: Value, time: float) -> Value:
-        """Factor of 1 + share during bad contact, else 1."""
-        turn = 2.0 * np.pi * time / self.period + self.phase
-        waves = np.sin(turn) + np.sin(1.618 * turn + 1.0) + np.sin(2.449 * turn + 2.0)
+        """Return 1 + share during bad contact, else 1."""
+        phase_angle = 2.0 * np.pi * time / self.period + self.phase
+        waves = np.sin(phase_angle) + np.sin(1.618 * phase_angle + 1.0) + np.sin(2.449 * phase_angle + 2.0)
         return 1.0 + self.share * (waves > 1.2)
 
 
@@ -72,7 +72,7 @@ class EncoderGlitches(Unlisted):
 
     size: float = bounded(0.01, 0.0, 10.0)  # rad
     rate: float = bounded(1.0, 0.0, 100.0)  # 1/s
-    key: float = bounded(0.0, 0.0, 1e6)
+    key: float = bounded(0.0, 0.0, 1e6)  # seed of the times and signs
 
     @classmethod
     def drawn(cls, draw: np.random.Generator, size: float) -> Self:
@@ -88,12 +88,16 @@ class EncoderGlitches(Unlisted):
         return replace(self, key=float(draw.integers(0, 1000000)))
 
     def angle_record(self, angle: Value, time: Value) -> Value:
-        """Add the errors to the recorded angle."""
-        count = len(angle)
-        draw = np.random.default_rng(int(self.key))
-        error = np.zeros(count)
-        for first in draw.integers(0, count, draw.poisson(self.rate * float(time[-1, 0] - time[0, 0]))):
-            error[first : first + int(draw.integers(2, 31))] = self.size * draw.choice([-1.0, 1.0])
+        """Return the recorded angle with the errors [rad]."""
+        sample_count = len(angle)
+        generator = np.random.default_rng(int(self.key))
+        error = np.zeros(sample_count)
+        for first_sample in generator.integers(
+            0, sample_count, generator.poisson(self.rate * float(time[-1, 0] - time[0, 0]))
+        ):
+            error[first_sample : first_sample + int(generator.integers(2, 31))] = self.size * generator.choice(
+                [-1.0, 1.0]
+            )
         return angle + error[:, None]
 
 
@@ -101,7 +105,7 @@ class EncoderGlitches(Unlisted):
 class SensorCreep(Unlisted):
     """A torque sensor whose glue creeps: after a change of torque the reading keeps changing for half a minute.
 
-    Reading = torque + share x torque behind a slow lag.
+    Reading = torque + share x lagged torque, with a first-order lag of the time constant.
     """
 
     share: float = bounded(0.01, 0.0, 1.0)
@@ -113,7 +117,7 @@ class SensorCreep(Unlisted):
         return cls(share=between(0.006, 0.08, size), time_constant=float(draw.uniform(4.0, 15.0)))
 
     def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
-        """Add the creep to the recorded torque."""
+        """Return the recorded torque with its creep [N*m]."""
         step = float(time[1, 0] - time[0, 0])
         gain = -np.expm1(-step / self.time_constant)
         return torque + self.share * lfilter([gain], [1.0, gain - 1.0], torque, axis=0)

@@ -20,7 +20,7 @@ class FrictionBursts(Unlisted):
 
     share: float = bounded(0.5, 0.0, 50.0)
     interval: float = bounded(0.4, 0.001, 100.0)  # s
-    key: float = bounded(0.0, 0.0, 1e6)
+    key: float = bounded(0.0, 0.0, 1e6)  # chooses the intervals with a burst
 
     @classmethod
     def drawn(cls, draw: np.random.Generator, size: float) -> Self:
@@ -36,9 +36,9 @@ class FrictionBursts(Unlisted):
         return replace(self, key=float(draw.integers(0, 1000000)))
 
     def friction_share(self, now: Now) -> Value:
-        """Factor of 1 + share within a burst, else 1."""
-        scattered = np.sin((np.floor(now.time / self.interval) + self.key) * 12.9898) * 43758.5453
-        return 1.0 + self.share * (scattered - np.floor(scattered) < 1.0 / 12.0)
+        """Return 1 + share within a burst, else 1."""
+        hashed = np.sin((np.floor(now.time / self.interval) + self.key) * 12.9898) * 43758.5453
+        return 1.0 + self.share * (hashed - np.floor(hashed) < 1.0 / 12.0)
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class HangingResonator(Unlisted):
     """
 
     inertia: float = bounded(4e-4, 1e-9, 10.0)  # kg*m^2
-    frequency: float = bounded(15.0, 0.01, 500.0)  # Hz, with the rotor held
+    frequency: float = bounded(15.0, 0.01, 500.0)  # Hz, natural frequency with the rotor held
     damping_ratio: float = bounded(0.05, 0.0, 2.0)
 
     @classmethod
@@ -62,17 +62,20 @@ class HangingResonator(Unlisted):
         )
 
     def rotor_path(self, lanes: int, step_s: float) -> Callable[[Now], Value]:
-        """Step by semi-implicit Euler; the phase advances by at most 0.025 rad a step."""
-        rate = 2.0 * np.pi * self.frequency
-        stiffness, damping = self.inertia * rate**2, 2.0 * self.damping_ratio * self.inertia * rate
-        twist, speed = np.zeros(lanes), np.zeros(lanes)
+        """Return a function that steps the part by semi-implicit Euler, with at most 0.025 rad of its phase a step."""
+        angular_frequency = 2.0 * np.pi * self.frequency
+        stiffness, damping = (
+            self.inertia * angular_frequency**2,
+            2.0 * self.damping_ratio * self.inertia * angular_frequency,
+        )
+        twist, part_velocity = np.zeros(lanes), np.zeros(lanes)
 
         def torque(now: Now) -> Value:
-            relative = now.velocity - speed
-            np.add(twist, relative * step_s, out=twist)
-            force = stiffness * twist + damping * relative
-            np.add(speed, force / self.inertia * step_s, out=speed)
-            return -force
+            relative_velocity = now.velocity - part_velocity
+            np.add(twist, relative_velocity * step_s, out=twist)
+            spring_torque = stiffness * twist + damping * relative_velocity
+            np.add(part_velocity, spring_torque / self.inertia * step_s, out=part_velocity)
+            return -spring_torque
 
         return torque
 
@@ -86,7 +89,7 @@ class WindingCable(Unlisted):
 
     adds_torque: ClassVar[bool] = True
     amplitude: float = bounded(0.05, 0.0, 10.0)  # N*m
-    wave: float = bounded(9.0, 0.1, 1000.0)  # rad, the longest
+    wave: float = bounded(9.0, 0.1, 1000.0)  # rad, longest period
     phase: float = bounded(0.0, 0.0, 7.0)  # rad
 
     @classmethod
@@ -99,9 +102,9 @@ class WindingCable(Unlisted):
         )
 
     def torque(self, angle: Value, velocity: Value) -> Value:
-        """Torque at the unwrapped angle."""
-        turn = 2.0 * np.pi * angle / self.wave + self.phase
-        waves = np.sin(turn) + 0.7 * np.sin(2.236 * turn + 1.3) + 0.5 * np.sin(3.873 * turn + 0.4)
+        """Return the torque at the unwrapped angle [N*m]."""
+        phase_angle = 2.0 * np.pi * angle / self.wave + self.phase
+        waves = np.sin(phase_angle) + 0.7 * np.sin(2.236 * phase_angle + 1.3) + 0.5 * np.sin(3.873 * phase_angle + 0.4)
         return -0.7 * self.amplitude * waves
 
 
@@ -120,11 +123,11 @@ class CurrentEddyDrag(Unlisted):
         return cls(coefficient=between(2e-5, 4e-4, size))
 
     def rotor_path(self, lanes: int, step_s: float) -> Callable[[Now], Value]:
-        """Drag torque that opposes the motion."""
+        """Return a function for the drag torque [N*m], which opposes the motion."""
 
         def torque(now: Now) -> Value:
-            speed = now.velocity / (1.0 + np.abs(now.velocity) / 20.0)
-            return -self.coefficient * now.current * now.current * speed
+            saturating_speed = now.velocity / (1.0 + np.abs(now.velocity) / 20.0)
+            return -self.coefficient * now.current * now.current * saturating_speed
 
         return torque
 
@@ -144,5 +147,5 @@ class SpeedWeakenedTorque(Unlisted):
         return cls(lag_per_speed=between(0.006, 0.028, size))
 
     def torque_share(self, now: Now) -> Value:
-        """Reduce the torque alike in both directions of rotation."""
+        """Return the factor on the torque constant, which is the same for both directions of rotation."""
         return np.cos(np.minimum(np.abs(self.lag_per_speed * now.velocity), 1.5))

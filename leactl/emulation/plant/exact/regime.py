@@ -14,9 +14,9 @@ from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameter
 
 Array = NDArray[np.float64]
 
-# State: per actuator current, velocity, angle, servo integral, filtered velocity; then the shaft's twist and the
-# filtered torque. In current mode the integral holds the setpoint that the lead has caught up with. Inputs: per
-# actuator setpoint, torque of effects, voltage correction; then 1.
+# State: current, velocity, angle, servo integral and filtered velocity of each actuator; then the shaft's twist and the
+# filtered torque. In current mode the integral is the lagged setpoint, from which the lead is computed. Inputs:
+# setpoint, torque of effects and voltage correction of each actuator; then the constant 1.
 CURRENT, VELOCITY, ANGLE, INTEGRAL, FILTERED = range(5)
 SETPOINT, TORQUE, CORRECTION = range(3)
 PER_ACTUATOR = 5
@@ -26,7 +26,7 @@ CONSTANT, SIZE = 18, 19
 
 
 class ActuatorRegime(NamedTuple):
-    """Regime of one actuator; limits are -1, 0 or 1, where 0 is not at the limit; slip 0 is stuck."""
+    """Regime of one actuator: signs of the limits that it has reached and of its slip; 0 is within limits, or stuck."""
 
     mode: str = "off"
     speed: int = 0
@@ -36,7 +36,7 @@ class ActuatorRegime(NamedTuple):
 
 
 class Regime(NamedTuple):
-    """Regime of the plant; the part that rounding takes off a resistance acts as a voltage correction."""
+    """Regime of the plant; the difference of the true resistances from the ones here acts as a voltage correction."""
 
     setup: str
     actuators: tuple[ActuatorRegime, ActuatorRegime]
@@ -44,7 +44,7 @@ class Regime(NamedTuple):
 
 
 class Switch(NamedTuple):
-    """Change of regime when a margin becomes negative: this field of this actuator takes this value."""
+    """Change of regime when a margin becomes negative: a field of an actuator's regime takes a value."""
 
     actuator: int
     field: str
@@ -68,11 +68,12 @@ class RigParameters(NamedTuple):
     current_offsets: tuple[float, float] = (0.0, 0.0)
 
     def voltage_ceiling(self, k: int) -> float:
-        """Highest q-axis voltage [V] of one actuator; the amplitude between two leads is then the bus voltage."""
+        """Return the highest q-axis voltage [V]: that whose amplitude between two leads is the bus voltage."""
         return self.bench.bus_voltage / self.actuators[k].lead_amplitude
 
 
 def _unit(index: int, value: float = 1.0) -> Array:
+    """Return a row over state and inputs that is `value` at an index and zero elsewhere."""
     row = np.zeros(SIZE)
     row[index] = value
     return row
@@ -85,26 +86,26 @@ def equations(plant: RigParameters, regime: Regime) -> tuple[Array, Array, list[
     bench = plant.bench
     coupled = regime.setup in ("coupled", "locked")
     for k in (0, 1):
-        held = k == 1 and regime.setup == "locked"  # the lock is at the far end of the shaft
+        is_locked = k == 1 and regime.setup == "locked"  # the lock is at the far end of the shaft
         x, parameters, actuator_regime = k * PER_ACTUATOR, plant.actuators[k], regime.actuators[k]
         margins += _drive(plant, regime, k, generator)
-        net = _unit(x + CURRENT, parameters.torque_constant) + _unit(STATES + k * INPUTS + TORQUE)
+        net_torque = _unit(x + CURRENT, parameters.torque_constant) + _unit(STATES + k * INPUTS + TORQUE)
         if coupled:
-            side = 1.0 if k == 0 else -1.0
+            sign = 1.0 if k == 0 else -1.0
             damping = shaft_damping(plant)
-            net[TWIST] -= side * bench.shaft_stiffness
-            net[VELOCITY] -= side * damping
-            net[PER_ACTUATOR + VELOCITY] += side * damping
+            net_torque[TWIST] -= sign * bench.shaft_stiffness
+            net_torque[VELOCITY] -= sign * damping
+            net_torque[PER_ACTUATOR + VELOCITY] += sign * damping
         friction = _unit(CONSTANT, parameters.coulomb_friction)
-        if not held:
+        if not is_locked:
             if actuator_regime.slip:
-                moving = net - actuator_regime.slip * friction
-                moving[x + VELOCITY] -= parameters.viscous_damping
-                generator[x + VELOCITY] = moving / parameters.rotor_inertia
+                sliding_torque = net_torque - actuator_regime.slip * friction
+                sliding_torque[x + VELOCITY] -= parameters.viscous_damping
+                generator[x + VELOCITY] = sliding_torque / parameters.rotor_inertia
                 margins.append((_unit(x + VELOCITY, actuator_regime.slip), Switch(k, "slip", 0)))
             else:
-                margins.append((friction - net, Switch(k, "slip", 1)))
-                margins.append((friction + net, Switch(k, "slip", -1)))
+                margins.append((friction - net_torque, Switch(k, "slip", 1)))
+                margins.append((friction + net_torque, Switch(k, "slip", -1)))
             generator[x + ANGLE] = _unit(x + VELOCITY)
         rate = 2.0 * math.pi * bench.velocity_filter_bandwidth
         generator[x + FILTERED] = _unit(x + VELOCITY, rate) - _unit(x + FILTERED, rate)
@@ -112,28 +113,28 @@ def equations(plant: RigParameters, regime: Regime) -> tuple[Array, Array, list[
         generator[TWIST] = _unit(VELOCITY) - _unit(PER_ACTUATOR + VELOCITY)
     rate = 2.0 * math.pi * bench.torque_filter_bandwidth
     generator[SHAFT_TORQUE] = _unit(TWIST, rate * bench.shaft_stiffness) - _unit(SHAFT_TORQUE, rate)
-    rows = np.array([row for row, _ in margins]).reshape(len(margins), SIZE)
-    return generator, rows, [switch for _, switch in margins]
+    margin_rows = np.array([row for row, _ in margins]).reshape(len(margins), SIZE)
+    return generator, margin_rows, [switch for _, switch in margins]
 
 
 def shaft_damping(plant: RigParameters) -> float:
-    """Damping of the shaft [N*m*s/rad] from its ratio to critical damping."""
-    first, second = (actuator.rotor_inertia for actuator in plant.actuators)
-    reduced = first * second / (first + second)
-    return 2.0 * plant.bench.shaft_damping_ratio * math.sqrt(plant.bench.shaft_stiffness * reduced)
+    """Return the damping of the shaft [N*m*s/rad] from its ratio to critical damping."""
+    test_inertia, load_inertia = (actuator.rotor_inertia for actuator in plant.actuators)
+    reduced_inertia = test_inertia * load_inertia / (test_inertia + load_inertia)
+    return 2.0 * plant.bench.shaft_damping_ratio * math.sqrt(plant.bench.shaft_stiffness * reduced_inertia)
 
 
 def net_torque_row(plant: RigParameters, regime: Regime, k: int) -> Array:
-    """Row that gives the torque on a rotor at standstill, without friction."""
+    """Return the row that gives the torque on a rotor at standstill, without friction [N*m]."""
     actuators = list(regime.actuators)
     actuators[k] = actuators[k]._replace(slip=0)
-    _, rows, switches = equations(plant, regime._replace(actuators=(actuators[0], actuators[1])))
-    upper = rows[switches.index(Switch(k, "slip", 1))]
-    return np.asarray(_unit(CONSTANT, plant.actuators[k].coulomb_friction) - upper)
+    _, margin_rows, switches = equations(plant, regime._replace(actuators=(actuators[0], actuators[1])))
+    upper_margin = margin_rows[switches.index(Switch(k, "slip", 1))]
+    return np.asarray(_unit(CONSTANT, plant.actuators[k].coulomb_friction) - upper_margin)
 
 
 def electric(plant: RigParameters, regime: Regime, k: int) -> Electric:
-    """Rows that the drive of one actuator computes in this regime; each row applies the limits reached before it."""
+    """Return the rows of one actuator's drive; each is computed from the row before it, as far as its limit allows."""
     x, parameters, actuator_regime, bench = k * PER_ACTUATOR, plant.actuators[k], regime.actuators[k], plant.bench
     setpoint = _unit(STATES + k * INPUTS + SETPOINT)
     emf = _unit(x + VELOCITY, parameters.back_emf_constant)
@@ -145,8 +146,8 @@ def electric(plant: RigParameters, regime: Regime, k: int) -> Electric:
     limited_speed = _unit(CONSTANT, actuator_regime.speed * bench.speed_limit) if actuator_regime.speed else speed
     current = setpoint + bench.setpoint_lead * (setpoint - _unit(x + INTEGRAL))
     if actuator_regime.mode != "current":
-        gain = parameters.rotor_inertia * bench.velocity_gain / parameters.torque_constant
-        current = gain * (limited_speed - _unit(x + VELOCITY)) + _unit(x + INTEGRAL)
+        velocity_gain = parameters.rotor_inertia * bench.velocity_gain / parameters.torque_constant
+        current = velocity_gain * (limited_speed - _unit(x + VELOCITY)) + _unit(x + INTEGRAL)
     limited_current = (
         _unit(CONSTANT, actuator_regime.current * bench.peak_current) if actuator_regime.current else current
     )
@@ -179,8 +180,8 @@ def _drive(plant: RigParameters, regime: Regime, k: int, generator: Array) -> li
     generator[x + CURRENT] = (voltage - drop - emf) / parameters.phase_inductance
     if actuator_regime.mode == "current":
         if bench.setpoint_lead:
-            caught_up = _unit(STATES + k * INPUTS + SETPOINT) - _unit(x + INTEGRAL)
-            generator[x + INTEGRAL] = caught_up / bench.setpoint_lead_time
+            lead_gap = _unit(STATES + k * INPUTS + SETPOINT) - _unit(x + INTEGRAL)
+            generator[x + INTEGRAL] = lead_gap / bench.setpoint_lead_time
     else:
         speed = (
             _unit(CONSTANT, actuator_regime.speed * bench.speed_limit)
@@ -194,14 +195,15 @@ def _drive(plant: RigParameters, regime: Regime, k: int, generator: Array) -> li
         )
         # Back-calculation keeps the right-hand side continuous across a limit, so a limit cannot chatter.
         inductance_rate = parameters.phase_inductance * 2.0 * math.pi * bench.current_loop_bandwidth
-        excess = (computed.current_setpoint - current) + (computed.voltage - voltage) / inductance_rate
-        scale = parameters.rotor_inertia / parameters.torque_constant
-        integral = scale * bench.velocity_integral * (speed - _unit(x + VELOCITY))
-        generator[x + INTEGRAL] = integral - bench.velocity_integral / bench.velocity_gain * excess
+        excess_current = (computed.current_setpoint - current) + (computed.voltage - voltage) / inductance_rate
+        current_per_acceleration = parameters.rotor_inertia / parameters.torque_constant
+        integral_rate = current_per_acceleration * bench.velocity_integral * (speed - _unit(x + VELOCITY))
+        generator[x + INTEGRAL] = integral_rate - bench.velocity_integral / bench.velocity_gain * excess_current
     return margins
 
 
 def _limit(row: Array, limit: float, side: int, k: int, field: str) -> list[tuple[Array, Switch]]:
+    """Return the margins of one limit: to both sides if it is not reached, else to where it is left."""
     ceiling = _unit(CONSTANT, limit)
     if side:
         return [(side * row - ceiling, Switch(k, field, 0))]

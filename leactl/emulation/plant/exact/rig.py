@@ -47,9 +47,9 @@ ROLES = ("test", "load")
 MARGIN_TOLERANCE = 1e-9  # in the margin's unit
 LEAST_ADVANCE_S = 1e-9  # rounding error of the requested times; a shorter time changes nothing
 RESTART_LEVEL = 3  # of the step after a change of regime: 0.25 ms
-MOST_REGIME_CHANGES = 8  # at one moment
+MOST_REGIME_CHANGES = 8  # without any time between them
 LEAST_POWERED_V = 10.0  # DC link voltage below which the drives are off
-LEAST_VOLTAGE_CHANGE = 0.01  # V, of the DC link, from which on the matrices are computed again
+LEAST_VOLTAGE_CHANGE = 0.01  # V, of the DC link; a smaller change keeps the matrices
 MOST_RESISTANCE_CHANGE = 0.002  # relative, after which the matrices are computed again
 
 
@@ -61,7 +61,7 @@ class Actuator:
         self.thermal = ExactThermalNetwork(parameters.thermal, ambient)
         self.mode = "off"
         self.setpoint = 0.0
-        self._rig, self._index, self._first = rig, index, index * PER_ACTUATOR
+        self._rig, self._index, self._first_state = rig, index, index * PER_ACTUATOR
 
     def command(self, mode: str, value: float = 0.0) -> None:
         """Hold a q-axis current [A], a velocity [rad/s] or an angle [rad], or let no current flow ("off")."""
@@ -80,7 +80,7 @@ class Actuator:
     @property
     def current_true(self) -> float:
         """True q-axis current [A]."""
-        return self._rig.state(self._first + CURRENT)
+        return self._rig.state(self._first_state + CURRENT)
 
     @property
     def voltage(self) -> float:
@@ -90,17 +90,17 @@ class Actuator:
     @property
     def velocity_true(self) -> float:
         """True velocity of the rotor [rad/s]."""
-        return self._rig.state(self._first + VELOCITY)
+        return self._rig.state(self._first_state + VELOCITY)
 
     @property
     def velocity(self) -> float:
         """Filtered velocity that the drive reports [rad/s]."""
-        return self._rig.state(self._first + FILTERED)
+        return self._rig.state(self._first_state + FILTERED)
 
     @property
     def angle(self) -> float:
         """Angle of the rotor [rad]."""
-        return self._rig.state(self._first + ANGLE)
+        return self._rig.state(self._first_state + ANGLE)
 
     @property
     def winding_temperature(self) -> float:
@@ -135,35 +135,40 @@ class Rig:
         self.setup, self.time, self.bench = setup, 0.0, bench or BenchParameters()
         self._bus_voltage = self.bench.bus_voltage
         self.effects = tuple(effects)
-        beyond = [effect for effect in self.effects if not set(own_hooks(effect)) <= set(RIG_HOOKS)]
-        if beyond:
-            names = ", ".join(effect.effect_name() for effect in beyond)
+        stepped_only = [effect for effect in self.effects if not set(own_hooks(effect)) <= set(RIG_HOOKS)]
+        if stepped_only:
+            names = ", ".join(effect.effect_name() for effect in stepped_only)
             raise InputError(f"effect {names}: only the stepped plant has a form for it, the emulated bench has none")
         self.noise = Noise(seed)
         self.heater_current = 0.0  # A, DC through two leads of the test actuator, heated setup only
         self.hung_torque = 0.0  # N*m, of weights on an arm of the torque sensor
-        first, second = test or ActuatorParameters(), load or ActuatorParameters()
-        pair = [Actuator(self, k, p, self.bench.ambient_temperature) for k, p in enumerate((first, second))]
+        test_parameters, load_parameters = test or ActuatorParameters(), load or ActuatorParameters()
+        pair = [
+            Actuator(self, k, p, self.bench.ambient_temperature)
+            for k, p in enumerate((test_parameters, load_parameters))
+        ]
         self._pair = pair
         self.actuators = dict(zip(ROLES, pair, strict=True))
-        refuse_unused_phase_settings(self.bench, first, second)
+        refuse_unused_phase_settings(self.bench, test_parameters, load_parameters)
         offsets = tuple(self._sense_current(k, 0.0) for k in (0, 1))
         gains = tuple(self._sense_current(k, 1.0) - offsets[k] for k in (0, 1))
-        self._plant = RigParameters((first, second), self.bench, (gains[0], gains[1]), (offsets[0], offsets[1]))
-        self._torques = [
+        self._plant = RigParameters(
+            (test_parameters, load_parameters), self.bench, (gains[0], gains[1]), (offsets[0], offsets[1])
+        )
+        self._torque_effects = [
             [effect for effect in self.effects if effect.adds_torque and effect.role == role] for role in ROLES
         ]
-        self._held = any(self._torques)
-        self._top_level = RESTART_LEVEL if self._held else TOP_LEVEL
+        self._has_torque_effects = any(self._torque_effects)
+        self._top_level = RESTART_LEVEL if self._has_torque_effects else TOP_LEVEL
         self._point = np.zeros(SIZE)
         self._point[CONSTANT] = 1.0
-        self._idle_changes = 0
-        self._heat = [0.0, 0.0]
-        self._friction_heat = [0.0, 0.0]
+        self._idle_changes = 0  # of the regime, since time last passed
+        self._squared_current_integrals = [0.0, 0.0]  # A^2*s since the last thermal step
+        self._friction_heat = [0.0, 0.0]  # J since the last thermal step
         self._phases = RigPhases(pair, self.bench.ambient_temperature) if self.bench.phase_resolved else None
         self._propagators: dict[Regime, Propagator] = {}
         self._resistances = [a.resistance for a in pair]
-        self._regime = Regime(setup, (ActuatorRegime(), ActuatorRegime()), (first.phase_resistance,) * 2)
+        self._regime = Regime(setup, (ActuatorRegime(), ActuatorRegime()), (test_parameters.phase_resistance,) * 2)
         self._enter(self._regime)
 
     # ---------------------------------------------------------------- readings
@@ -202,7 +207,7 @@ class Rig:
         return self.lead_resistance * self.line_current
 
     def hottest_phase(self, role: str) -> HottestPhase:
-        """Present and highest temperature of an actuator's hottest phase [degC].
+        """Return the present and the highest temperature of an actuator's hottest phase [degC].
 
         Raises
         ------
@@ -214,9 +219,9 @@ class Rig:
         return self._phases.hottest(ROLES.index(role))
 
     def part_of_winding(self, role: str, part: str) -> float:
-        """Temperature of the `active` phases, which two leads feed, or of the `inactive` one [degC].
+        """Return the temperature of the `active` phases, which two leads feed, or of the `inactive` one [degC].
 
-        If phases are not resolved, the temperature of the whole winding.
+        If the phases are not resolved, both are the temperature of the whole winding.
         """
         if self._phases is None:
             return self.actuators[role].winding_temperature
@@ -224,16 +229,16 @@ class Rig:
         return self._phases.part_temperature(ROLES.index(role), part)
 
     def state(self, index: int) -> float:
-        """One number of the state, by its index in regime.py."""
+        """Return the state or input at an index of regime.py."""
         return float(self._point[index])
 
     def sensed_current(self, k: int) -> float:
-        """Q-axis current as the sensor of one drive reads it [A]."""
+        """Return the q-axis current as the sensor of one drive reads it [A]."""
         current = float(self._point[k * PER_ACTUATOR + CURRENT])
         return self._plant.current_gains[k] * current + self._plant.current_offsets[k]
 
     def voltage(self, k: int) -> float:
-        """Q-axis voltage at the terminals of one actuator [V]."""
+        """Return the q-axis voltage at the terminals of one actuator [V]."""
         self._set_voltage_correction()
         ceiling = self._plant.voltage_ceiling(k)
         actuator_regime = self._regime.actuators[k]
@@ -243,6 +248,7 @@ class Rig:
         return voltage if actuator_regime.mode == "off" else min(max(voltage, -ceiling), ceiling)
 
     def _sense_current(self, k: int, current: float) -> float:
+        """Return what one drive's sensor reads at a current [A], with the effects of the sensor."""
         for effect in self.effects:
             if effect.role == ROLES[k]:
                 current = effect.sense_current(current)
@@ -272,10 +278,10 @@ class Rig:
         if self._bus_voltage < LEAST_POWERED_V:
             mode = "off"
         actuator, x = self._pair[k], k * PER_ACTUATOR
-        before, actuator.mode, actuator.setpoint = actuator.mode, mode, value
+        previous_mode, actuator.mode, actuator.setpoint = actuator.mode, mode, value
         if mode == "off":
             self._point[x + CURRENT] = self._point[x + INTEGRAL] = 0.0
-        elif (before in ("off", "current")) != (mode == "current"):
+        elif (previous_mode in ("off", "current")) != (mode == "current"):
             self._point[x + INTEGRAL] = self._point[x + CURRENT]
         peak = self.bench.peak_current
         self._point[STATES + k * INPUTS + SETPOINT] = min(max(value, -peak), peak) if mode == "current" else value
@@ -285,32 +291,37 @@ class Rig:
         """Find which limits of one drive are reached after a jump of its command."""
         slip = self._regime.actuators[k].slip
         actuator_regime = ActuatorRegime(self._pair[k].mode, slip=slip)
-        regime = self._with(k, actuator_regime)
+        regime = self._regime_with(k, actuator_regime)
         if actuator_regime.mode == "angle":
             row = electric(self._plant, regime, k).speed_setpoint
-            actuator_regime = actuator_regime._replace(speed=self._side(row, self.bench.speed_limit))
-            regime = self._with(k, actuator_regime)
+            actuator_regime = actuator_regime._replace(speed=self._reached_side(row, self.bench.speed_limit))
+            regime = self._regime_with(k, actuator_regime)
         if actuator_regime.mode != "off":
             row = electric(self._plant, regime, k).current_setpoint
-            actuator_regime = actuator_regime._replace(current=self._side(row, self.bench.peak_current))
-            regime = self._with(k, actuator_regime)
+            actuator_regime = actuator_regime._replace(current=self._reached_side(row, self.bench.peak_current))
+            regime = self._regime_with(k, actuator_regime)
             row = electric(self._plant, regime, k).voltage
-            actuator_regime = actuator_regime._replace(voltage=self._side(row, self._plant.voltage_ceiling(k)))
-            regime = self._with(k, actuator_regime)
+            actuator_regime = actuator_regime._replace(voltage=self._reached_side(row, self._plant.voltage_ceiling(k)))
+            regime = self._regime_with(k, actuator_regime)
         self._enter(regime)
 
-    def _side(self, row: Array, limit: float) -> int:
+    def _reached_side(self, row: Array, limit: float) -> int:
+        """Return the sign of the row's present value if that exceeds the limit, else 0."""
         value = float(row @ self._point)
         return int(math.copysign(1, value)) if abs(value) > limit else 0
 
-    def _with(self, k: int, actuator_regime: ActuatorRegime) -> Regime:
-        first, second = self._regime.actuators
-        return self._regime._replace(actuators=(actuator_regime, second) if k == 0 else (first, actuator_regime))
+    def _regime_with(self, k: int, actuator_regime: ActuatorRegime) -> Regime:
+        """Return the present regime with that of one actuator replaced."""
+        test_regime, load_regime = self._regime.actuators
+        return self._regime._replace(
+            actuators=(actuator_regime, load_regime) if k == 0 else (test_regime, actuator_regime)
+        )
 
     def _enter(self, regime: Regime) -> None:
+        """Make a regime the present one; the next step is short, as the next event may be near."""
         propagator = self._propagators.get(regime)
         if propagator is None:
-            if len(self._propagators) > 200:
+            if len(self._propagators) > 200:  # bounds the memory: warming windings lead to ever new resistances
                 self._propagators.clear()
             propagator = self._propagators[regime] = Propagator(self._plant, regime)
         self._regime, self._propagator, self._level = regime, propagator, RESTART_LEVEL
@@ -336,18 +347,19 @@ class Rig:
         if self._phases is not None:
             return
         for k, actuator in enumerate(self._pair):
-            heat = self._resistances[k] * self._heat[k] / duration
+            heat = self._resistances[k] * self._squared_current_integrals[k] / duration
             actuator.thermal.step(round(duration, 9), heat, self._friction_heat[k] / duration)
-        self._heat = [0.0, 0.0]
+        self._squared_current_integrals = [0.0, 0.0]
         self._friction_heat = [0.0, 0.0]
 
     def _refresh_resistances(self) -> None:
-        stale = False
+        """Update the resistances, and the matrices if one has changed by more than `MOST_RESISTANCE_CHANGE`."""
+        is_stale = False
         for k in (0, 1):
             self._resistances[k] = exact = self._pair[k].resistance
             rounded = self._regime.resistances[k]
-            stale = stale or abs(exact - rounded) > MOST_RESISTANCE_CHANGE * rounded
-        if stale:
+            is_stale = is_stale or abs(exact - rounded) > MOST_RESISTANCE_CHANGE * rounded
+        if is_stale:
             level = self._level
             self._enter(self._regime._replace(resistances=(self._resistances[0], self._resistances[1])))
             self._level = level
@@ -356,11 +368,12 @@ class Rig:
         """Set the voltage correction for the difference between each resistance and the rounded one of the matrices."""
         point, rounded = self._point, self._regime.resistances
         for k in (0, 1):
-            excess = self._pair[k].resistance - rounded[k]
-            point[STATES + k * INPUTS + CORRECTION] = excess * point[k * PER_ACTUATOR + CURRENT]
+            resistance_excess = self._pair[k].resistance - rounded[k]
+            point[STATES + k * INPUTS + CORRECTION] = resistance_excess * point[k * PER_ACTUATOR + CURRENT]
 
     def _set_effect_torques(self) -> None:
-        for k, effects in enumerate(self._torques):
+        """Set the torques of the effects at the angle in the middle of a step of 0.25 ms, which is 8 ticks."""
+        for k, effects in enumerate(self._torque_effects):
             if effects:
                 velocity = self.state(k * PER_ACTUATOR + VELOCITY)
                 angle = self.state(k * PER_ACTUATOR + ANGLE) + velocity * 4 * TICK
@@ -371,9 +384,10 @@ class Rig:
         while remaining > LEAST_ADVANCE_S:
             exact = self._resistances
             point, rounded = self._point, self._regime.resistances
+            # as in _set_voltage_correction: 14 and 17 are the corrections, 0 and 5 the currents
             point[14] = (exact[0] - rounded[0]) * point[0]
             point[17] = (exact[1] - rounded[1]) * point[5]
-            if self._held:
+            if self._has_torque_effects:
                 self._set_effect_torques()
             ticks = int(remaining / TICK + 1e-6)
             if ticks == 0:
@@ -381,90 +395,91 @@ class Rig:
                 continue
             level = min(self._level, ticks.bit_length() - 1)
             propagator = self._propagator
-            ahead = propagator.step(level).dot(point)
-            margins = ahead[STATES:]
-            if propagator.count and margins.min() < -MARGIN_TOLERANCE:
+            state_and_margins = propagator.step(level).dot(point)
+            margins = state_and_margins[STATES:]
+            if propagator.margin_count and margins.min() < -MARGIN_TOLERANCE:
                 remaining -= self._retreat(level, margins, min(remaining, TICK))
                 continue
             step = TICK * (1 << level)
-            self._accept(ahead[:STATES], step)
+            self._accept(state_and_margins[:STATES], step)
             remaining -= step
             if level == self._level and level < self._top_level:
                 self._level = level + 1
 
     def _accept(self, state: Array, step: float) -> None:
-        point, half = self._point, 0.5 * step
-        self._heat[0] += half * (point.item(0) ** 2 + state.item(0) ** 2)
-        self._heat[1] += half * (point.item(5) ** 2 + state.item(5) ** 2)
+        """Make a state the present one; integrate squared currents and friction over the step [s] by trapezoids."""
+        point, half_step = self._point, 0.5 * step
+        self._squared_current_integrals[0] += half_step * (point.item(0) ** 2 + state.item(0) ** 2)
+        self._squared_current_integrals[1] += half_step * (point.item(5) ** 2 + state.item(5) ** 2)
         if self.bench.friction_heat:
             for k, actuator in enumerate(self._pair):
                 for speed in (abs(point.item(5 * k + VELOCITY)), abs(state.item(5 * k + VELOCITY))):
                     p = actuator.parameters
-                    self._friction_heat[k] += half * (p.viscous_damping * speed + p.coulomb_friction) * speed
+                    self._friction_heat[k] += half_step * (p.viscous_damping * speed + p.coulomb_friction) * speed
         if self._phases is not None:
             self._phases.gather_step(step, point, state, self._friction_heat)
         point[:STATES] = state
 
     def _retreat(self, level: int, margins: Array, remaining: float) -> float:
-        """Go to the last point before a margin becomes negative, and shorten the steps; return the elapsed time [s]."""
+        """Advance to the last point before a margin is negative, and shorten the steps; return the elapsed time [s]."""
         propagator = self._propagator
-        units_before = int(np.argmax((margins < -MARGIN_TOLERANCE).reshape(-1, propagator.count).any(axis=1)))
+        points_before = int(np.argmax((margins < -MARGIN_TOLERANCE).reshape(-1, propagator.margin_count).any(axis=1)))
         if level == 0:
             return self._step_to_event(remaining)
-        spacing = 0 if level <= RESTART_LEVEL else RESTART_LEVEL
-        elapsed, units = 0.0, units_before
-        size = spacing
-        while units:
-            if units & 1:
-                step = TICK * (1 << size)
-                self._accept(propagator.step(size).dot(self._point)[:STATES], step)
+        spacing_level = 0 if level <= RESTART_LEVEL else RESTART_LEVEL
+        elapsed, points_left = 0.0, points_before
+        step_level = spacing_level
+        while points_left:
+            if points_left & 1:
+                step = TICK * (1 << step_level)
+                self._accept(propagator.step(step_level).dot(self._point)[:STATES], step)
                 elapsed += step
-            units >>= 1
-            size += 1
-        self._level = spacing if spacing else 0
+            points_left >>= 1
+            step_level += 1
+        self._level = spacing_level if spacing_level else 0
         return elapsed
 
     def _step_to_event(self, duration: float) -> float:
-        """Advance by at most a tick, to the first loss of a margin; change the regime there; return the time [s]."""
+        """Advance by at most a tick; stop and change the regime where a margin is lost; return the elapsed time [s]."""
         propagator, point = self._propagator, self._point
-        ahead = propagator.ahead(point, duration)
-        if not propagator.count:
-            self._accept(ahead[:STATES], duration)
+        advanced = propagator.after(point, duration)
+        if not propagator.margin_count:
+            self._accept(advanced[:STATES], duration)
             return duration
-        before, after = propagator.margins @ point, propagator.margins @ ahead
-        if after.min() >= -MARGIN_TOLERANCE:
-            self._accept(ahead[:STATES], duration)
+        margins_before, margins_after = propagator.margins @ point, propagator.margins @ advanced
+        if margins_after.min() >= -MARGIN_TOLERANCE:
+            self._accept(advanced[:STATES], duration)
             return duration
-        share, which = 2.0, 0
-        for index in np.flatnonzero(after < -MARGIN_TOLERANCE):
-            start = max(float(before[index]), 0.0)
-            crossing = start / (start - float(after[index]))
-            if crossing < share:
-                share, which = crossing, int(index)
-        share = self._refine(which, duration, share)
+        share, lost_margin = 2.0, 0
+        for index in np.flatnonzero(margins_after < -MARGIN_TOLERANCE):
+            margin_before = max(float(margins_before[index]), 0.0)
+            crossing_share = margin_before / (margin_before - float(margins_after[index]))
+            if crossing_share < share:
+                share, lost_margin = crossing_share, int(index)
+        share = self._refine(lost_margin, duration, share)
         if share > 0.0:
             self._idle_changes = 0
-            self._accept(propagator.ahead(point, share * duration)[:STATES], share * duration)
+            self._accept(propagator.after(point, share * duration)[:STATES], share * duration)
         else:
             self._idle_changes += 1
             if self._idle_changes > MOST_REGIME_CHANGES:  # regimes that alternate at one point: let one tick pass
                 self._idle_changes = 0
-                self._accept(ahead[:STATES], duration)
+                self._accept(advanced[:STATES], duration)
                 self._settle_signs()
                 return duration
-        self._switch(propagator.switches[which])
+        self._switch(propagator.switches[lost_margin])
         return share * duration
 
     def _settle_signs(self) -> None:
-        """Zero a velocity whose sign a forced tick has made opposite to its slip."""
+        """Set a velocity to zero if a forced tick has reversed it against its slip."""
         for k, actuator_regime in enumerate(self._regime.actuators):
             if actuator_regime.slip * self.state(k * PER_ACTUATOR + VELOCITY) < 0.0:
                 self._point[k * PER_ACTUATOR + VELOCITY] = 0.0
 
-    def _refine(self, which: int, duration: float, share: float) -> float:
-        """Find the root of one margin within a step of less than a tick, as a share of the step, by secant steps."""
-        row, low = self._propagator.margins[which], 0.0
-        margin: Callable[[float], float] = lambda at: float(row @ self._propagator.ahead(self._point, at * duration))  # noqa: E731
+    def _refine(self, margin_index: int, duration: float, share: float) -> float:
+        """Return the share of a step of at most a tick at which one margin is zero, by steps of the regula falsi."""
+        row, low = self._propagator.margins[margin_index], 0.0
+        margin: Callable[[float], float] = lambda x: float(row @ self._propagator.after(self._point, x * duration))  # noqa: E731
         low_value, high, high_value = margin(0.0), 1.0, margin(1.0)
         if low_value <= 0.0:
             return 0.0
@@ -480,16 +495,17 @@ class Rig:
         return share
 
     def _switch(self, switch: Switch) -> None:
+        """Change the regime; a rotor at rest slips again at once if the torque on it exceeds its friction."""
         k = switch.actuator
         actuator_regime = self._regime.actuators[k]
         value = switch.value
         if switch.field == "slip" and value == 0:
             self._point[k * PER_ACTUATOR + VELOCITY] = 0.0
-            net = self._propagator.net_torque(k, self._point)
-            if abs(net) > self._plant.actuators[k].coulomb_friction + MARGIN_TOLERANCE:
-                value = 1 if net > 0.0 else -1
+            net_torque = self._propagator.net_torque(k, self._point)
+            if abs(net_torque) > self._plant.actuators[k].coulomb_friction + MARGIN_TOLERANCE:
+                value = 1 if net_torque > 0.0 else -1
         changes: dict[str, Any] = {switch.field: value}
-        self._enter(self._with(k, actuator_regime._replace(**changes)))
+        self._enter(self._regime_with(k, actuator_regime._replace(**changes)))
 
 
 __all__ = ["FILTERED", "LEAST_POWERED_V", "ROLES", "SETUPS", "Rig"]

@@ -30,15 +30,15 @@ class Lane:
     effects: tuple[PlantEffect, ...] = ()
     angle: float = 0.0  # rad, of both rotors
     winding: float | None = None  # degC, of the test actuator; None is the ambient
-    housing: float | None = None
-    fixture: float | None = None
+    housing: float | None = None  # degC, likewise
+    fixture: float | None = None  # degC, likewise
 
 
 class EffectGroup(NamedTuple):
     """One effect, with arrays as its parameters, over the lanes of a group."""
 
     effect: PlantEffect
-    row: int
+    row: int  # of the actuator: 0 test, 1 load
     lanes: slice
     now: Now
 
@@ -64,27 +64,28 @@ def rows(lanes: Sequence[Lane], value_of: Callable[[ActuatorParameters], float])
 
 
 def bind(lanes: Sequence[Lane]) -> dict[str, list[EffectGroup]]:
-    """Group the lanes' effects; returns for each hook name the effect groups whose effects define that hook."""
-    bound: dict[str, list[EffectGroup]] = {hook: [] for hook in HOOKS}
-    first = 0
-    for _, members in itertools.groupby(lanes, key=_kinds):
-        adjacent = list(members)
-        span = slice(first, first + len(adjacent))
-        first = span.stop
-        for k in range(len(adjacent[0].effects)):
-            singles = [lane.effects[k] for lane in adjacent]
-            effect = type(singles[0]).stacked(singles)
-            group = EffectGroup(effect, ROLES.index(effect.role), span, Now())
+    """Group the effects of adjacent lanes; return, for each hook, the groups whose effect defines that hook."""
+    groups_by_hook: dict[str, list[EffectGroup]] = {hook: [] for hook in HOOKS}
+    first_lane = 0
+    for _, group_members in itertools.groupby(lanes, key=_kinds):
+        group_lanes = list(group_members)
+        lane_slice = slice(first_lane, first_lane + len(group_lanes))
+        first_lane = lane_slice.stop
+        for k in range(len(group_lanes[0].effects)):
+            lane_effects = [lane.effects[k] for lane in group_lanes]
+            effect = type(lane_effects[0]).stacked(lane_effects)
+            group = EffectGroup(effect, ROLES.index(effect.role), lane_slice, Now())
             for hook in own_hooks(effect):
-                bound[hook].append(group)
-    return bound
+                groups_by_hook[hook].append(group)
+    return groups_by_hook
 
 
 def _kinds(lane: Lane) -> tuple[tuple[type[PlantEffect], str], ...]:
+    """Return class and role of each effect of a lane."""
     return tuple((type(effect), effect.role) for effect in lane.effects)
 
 
 def in_groups(lanes: Sequence[Lane]) -> list[int]:
-    """Order the lane indices so that lanes with the same kinds of effects are adjacent."""
-    names = [[f"{kind.effect_name()}.{role}" for kind, role in _kinds(lane)] for lane in lanes]
-    return sorted(range(len(lanes)), key=lambda index: (names[index], index))
+    """Return the indices of the lanes in an order in which lanes with the same kinds of effects are adjacent."""
+    effect_names = [[f"{kind.effect_name()}.{role}" for kind, role in _kinds(lane)] for lane in lanes]
+    return sorted(range(len(lanes)), key=lambda index: (effect_names[index], index))

@@ -1,4 +1,4 @@
-"""The stepped plant with one lane, with the interface of the rig, for benches with effects that the rig cannot express.
+"""The stepped plant with one lane and the interface of the rig, for benches with effects that the rig cannot express.
 
 Time advances in whole milliseconds; a command takes effect at the next one; the servos use the drives' readings.
 """
@@ -33,15 +33,15 @@ class SteppedRig:
     ) -> None:
         if setup not in SETUPS:
             raise InputError(f"setup {setup!r} is unknown; known are {', '.join(SETUPS)}")
-        if beyond := [effect for effect in effects if effect.needs_whole_record]:
-            names = ", ".join(effect.effect_name() for effect in beyond)
+        if whole_record_effects := [effect for effect in effects if effect.needs_whole_record]:
+            names = ", ".join(effect.effect_name() for effect in whole_record_effects)
             raise InputError(f"effect {names}: its form needs a whole record, which a live bench has not; leave it out")
         self.setup, self.bench, self.heater_current = setup, bench or BenchParameters(), 0.0
         if self.bench.phase_resolved:
             raise InputError("phase_resolved: the stepped plant of these effects has no phases; leave it or them out")
         self.time = 0.0
         self.hung_torque = 0.0  # N*m, of weights on an arm of the torque sensor
-        self._dead_bus: float | None = None  # V, where that is too little for a drive
+        self._dead_bus: float | None = None  # V, a bus voltage below `LEAST_POWERED_V`; None if it is not
         lane = Lane(setup, test or ActuatorParameters(), load or ActuatorParameters(), self.bench, tuple(effects))
         refuse_unused_phase_settings(self.bench, lane.test, lane.load)
         self.plant, self._effects, self._parameters = SteppedPlant([lane]), tuple(effects), lane.test
@@ -107,18 +107,18 @@ class SteppedRig:
         return resistance
 
     def part_of_winding(self, role: str, part: str) -> float:
-        """Temperature of the `active` or `inactive` phases [degC]: that of the winding, which has one node here."""
+        """Return the winding's temperature [degC] for the `active` and the `inactive` phases: it has one node here."""
         return self.actuators[role].winding_temperature
 
     # ---------------------------------------------------------------- time
 
     def advance(self, to_time: float) -> None:
-        """Advance to the last whole step before a time [s]; a time in the past changes nothing."""
+        """Advance to a time [s], the plant by whole milliseconds; a time in the past changes nothing."""
         if self.setup == "heated":
-            still = np.zeros(1)
+            standstill = np.zeros(1)
             while (step := min(HEATED_STEP, to_time - self.time)) > 1e-9:
                 heat = 2.0 * self.resistance * self.heater_current**2
-                self.plant.thermal.step(self.time, step, heat, still, still)
+                self.plant.thermal.step(self.time, step, heat, standstill, standstill)
                 self.time += step
             return
         while self.plant.time + TICK <= to_time + 1e-9:
@@ -150,26 +150,26 @@ class SteppedActuator:
         self.mode, self.setpoint = mode, float(value)
 
     def reference(self) -> float:
-        """Current reference of the drive's current loop for the next millisecond [A]."""
+        """Advance the servo by a millisecond; return the reference of the drive's current loop for it [A]."""
         bench, reference = self._rig.bench, self.setpoint
-        if self.mode == "off":  # what the sensor reads where no current flows
+        if self.mode == "off":  # the sensor's reading at zero current
             return float(self._rig.plant.current_offset[self._row, 0])
         if self.mode == "current":
             reference = min(max(reference, -bench.peak_current), bench.peak_current)
-            ahead = (reference - self._integral) * -math.expm1(-TICK / bench.setpoint_lead_time)
-            self._integral += ahead
-            reference += bench.setpoint_lead * ahead * bench.setpoint_lead_time / TICK  # mean over the millisecond
+            lead = (reference - self._integral) * -math.expm1(-TICK / bench.setpoint_lead_time)
+            self._integral += lead
+            reference += bench.setpoint_lead * lead * bench.setpoint_lead_time / TICK  # mean over the millisecond
             return min(max(reference, -bench.peak_current), bench.peak_current)
         if self.mode == "angle":
             reference = bench.position_gain * (reference - self.angle)
             reference = min(max(reference, -bench.speed_limit), bench.speed_limit)
-        error = reference - self.velocity
-        per_acceleration = self.parameters.rotor_inertia / self.parameters.torque_constant
-        self._integral += per_acceleration * bench.velocity_integral * TICK * error
-        unlimited = per_acceleration * bench.velocity_gain * error + self._integral
-        limited = min(max(unlimited, -bench.peak_current), bench.peak_current)
-        self._integral += (limited - unlimited) * bench.velocity_integral / bench.velocity_gain * TICK
-        return limited
+        velocity_error = reference - self.velocity
+        current_per_acceleration = self.parameters.rotor_inertia / self.parameters.torque_constant
+        self._integral += current_per_acceleration * bench.velocity_integral * TICK * velocity_error
+        unlimited_current = current_per_acceleration * bench.velocity_gain * velocity_error + self._integral
+        limited_current = min(max(unlimited_current, -bench.peak_current), bench.peak_current)
+        self._integral += (limited_current - unlimited_current) * bench.velocity_integral / bench.velocity_gain * TICK
+        return limited_current
 
     @property
     def current(self) -> float:
@@ -205,14 +205,15 @@ class SteppedActuator:
     @property
     def winding_temperature(self) -> float:
         """Winding temperature as the camera reads it [degC]; the load's is not simulated and stays at ambient."""
-        return self._camera(0)
+        return self._camera_reading(0)
 
     @property
     def housing_temperature(self) -> float:
         """Housing temperature as the camera reads it [degC]."""
-        return self._camera(1)
+        return self._camera_reading(1)
 
-    def _camera(self, row: int) -> float:
+    def _camera_reading(self, row: int) -> float:
+        """Return the reading [degC] of winding (row 0) or housing (row 1)."""
         if self._row == 1:
             return self._rig.bench.ambient_temperature
         return float(self._rig.plant.thermal.camera()[row, 0])

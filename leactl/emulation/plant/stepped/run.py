@@ -13,12 +13,12 @@ from leactl.emulation.plant.stepped.plant import TICK, SteppedPlant
 Single = NDArray[np.float32]
 CAMERA_TICKS = 100  # 10 Hz
 BLOCK = 1000  # ticks
-COMMAND_STEP = 0.002  # A, resolution of the drives' current command
+COMMAND_STEP = 0.002  # A, resolution of the current command
 
 
 @dataclass(frozen=True)
 class DriveReferences:
-    """References of the drives of one run, one row a millisecond."""
+    """References of the drives of one run, one value a millisecond."""
 
     current: Array  # A, of the test drive where it does not hold a velocity
     velocity: Array | None = None  # rad/s
@@ -32,11 +32,11 @@ class DriveReferences:
 
 @dataclass(frozen=True)
 class DriveSignals:
-    """Sensor readings of one run before noise, except for the velocities, which carry theirs; one row a millisecond."""
+    """Sensor readings of one run, one a millisecond; only velocities have noise already, since the servos read them."""
 
     reference: Single
     current: Single  # mean over the millisecond, as the drive's sensor reads it
-    voltage: Single  # the same
+    voltage: Single  # likewise
     velocity: Single
     angle: Array
     torque: Single
@@ -48,7 +48,7 @@ class DriveSignals:
 
 
 class _Block(NamedTuple):
-    """One second of all lanes, a row a tick."""
+    """One second of all lanes, one row for each tick."""
 
     reference: Array
     current: Array
@@ -63,34 +63,36 @@ class _Block(NamedTuple):
 
 def simulate(lanes: Sequence[Lane], programs: Sequence[DriveReferences]) -> list[DriveSignals]:
     """Run every lane to the end of its references; results are in the order of `lanes`."""
-    order = in_groups(lanes)
-    signals = _simulate([lanes[k] for k in order], [programs[k] for k in order])
-    by_lane = dict(zip(order, signals, strict=True))
-    return [by_lane[k] for k in range(len(lanes))]
+    grouped_lanes = in_groups(lanes)
+    signals = _simulate([lanes[k] for k in grouped_lanes], [programs[k] for k in grouped_lanes])
+    signals_by_lane = dict(zip(grouped_lanes, signals, strict=True))
+    return [signals_by_lane[k] for k in range(len(lanes))]
 
 
 def _simulate(lanes: Sequence[Lane], programs: Sequence[DriveReferences]) -> list[DriveSignals]:
     plant = SteppedPlant(lanes)
     servo = _Servo(lanes, programs)
     lengths = [len(program.current) for program in programs]
-    records = [_empty(length) for length in lengths]
-    longest, count = max(lengths), len(lanes)
+    records = [_empty_record(length) for length in lengths]
+    most_ticks, count = max(lengths), len(lanes)
     block = _Block(*(np.zeros((BLOCK, count)) for _ in _Block._fields))
-    camera = np.zeros((-(-longest // CAMERA_TICKS), 2, count), np.float32)
-    noise = [np.random.default_rng([program.seed, 1]) for program in programs]
-    spread = np.array([program.velocity_noise for program in programs])
+    camera = np.zeros((-(-most_ticks // CAMERA_TICKS), 2, count), np.float32)
+    noise_generators = [np.random.default_rng([program.seed, 1]) for program in programs]
+    velocity_noise = np.array([program.velocity_noise for program in programs])
     reading = np.zeros((2, count))
-    for start in range(0, longest, BLOCK):
-        jitter = np.stack([generator.standard_normal((BLOCK, 2)) for generator in noise], axis=2) * spread
-        references = _part(programs, start)
-        for row in range(min(BLOCK, longest - start)):
-            reference = servo.current(references[0, row], references[1, row], reading)
-            plant.advance(reference)
-            np.add(plant.velocity_read, jitter[row], out=reading)
-            _take(block, row, plant, reference, reading)
+    for start in range(0, most_ticks, BLOCK):
+        noise_block = (
+            np.stack([generator.standard_normal((BLOCK, 2)) for generator in noise_generators], axis=2) * velocity_noise
+        )
+        references = _reference_block(programs, start)
+        for row in range(min(BLOCK, most_ticks - start)):
+            current_references = servo.current(references[0, row], references[1, row], reading)
+            plant.advance(current_references)
+            np.add(plant.velocity_read, noise_block[row], out=reading)
+            _fill_row(block, row, plant, current_references, reading)
             if row % CAMERA_TICKS == 0:
                 camera[(start + row) // CAMERA_TICKS] = plant.thermal.camera()
-        _keep(block, records, lengths, start)
+        _store_block(block, records, lengths, start)
     for k, length in enumerate(lengths):
         ticks = -(-length // CAMERA_TICKS)
         records[k]["winding"], records[k]["housing"] = camera[:ticks, 0, k].copy(), camera[:ticks, 1, k].copy()
@@ -101,9 +103,9 @@ class _Servo:
     """Velocity servos of the lanes that have one; the current references of the other lanes pass unchanged."""
 
     def __init__(self, lanes: Sequence[Lane], programs: Sequence[DriveReferences]) -> None:
-        self._held = np.array([[program.servo == role for program in programs] for role in ("test", "load")])
-        self._passes = ~self._held[0]
-        per_acceleration = np.array(
+        self._holds_velocity = np.array([[program.servo == role for program in programs] for role in ("test", "load")])
+        self._test_has_no_servo = ~self._holds_velocity[0]
+        current_per_acceleration = np.array(
             [
                 [lane.test.rotor_inertia / lane.test.torque_constant for lane in lanes],
                 [lane.load.rotor_inertia / lane.load.torque_constant for lane in lanes],
@@ -111,38 +113,43 @@ class _Servo:
         )
         gain = np.array([program.velocity_gain for program in programs])
         integral = np.array([program.velocity_integral for program in programs])
-        self._gain = per_acceleration * gain * self._held
-        self._per_tick = per_acceleration * integral * TICK * self._held
-        self._unwind = np.clip(integral / gain * TICK, 0.0, 1.0)
-        self._opposed = self._held[1] * np.array([program.feedforward for program in programs])
+        self._gain = current_per_acceleration * gain * self._holds_velocity
+        self._integral_gain = current_per_acceleration * integral * TICK * self._holds_velocity
+        self._unwinding_share = np.clip(integral / gain * TICK, 0.0, 1.0)
+        self._opposed_share = self._holds_velocity[1] * np.array([program.feedforward for program in programs])
         self._peak = np.array([lane.bench.peak_current for lane in lanes])
-        self._integral = np.zeros(self._held.shape)
+        self._integral = np.zeros(self._holds_velocity.shape)
 
     def current(self, current: Array, velocity: Array, reading: Array) -> Array:
-        """Current references of both drives [A], clipped to the peak current, rounded to the command's resolution."""
-        error = velocity - reading
-        self._integral += self._per_tick * error
-        unlimited = self._gain * error + self._integral
-        unlimited[0] += current * self._passes
-        unlimited[1] -= current * self._opposed
-        limited = np.minimum(np.maximum(unlimited, -self._peak), self._peak)
-        self._integral += self._unwind * (limited - unlimited) * self._held
-        command: Array = np.rint(limited / COMMAND_STEP) * COMMAND_STEP
+        """Advance by a tick; return both drives' current references [A], limited and rounded as commands.
+
+        current : reference of the test drive if it has no servo [A]. velocity : reference of the servo [rad/s].
+        reading : velocities of both drives [rad/s].
+        """
+        velocity_error = velocity - reading
+        self._integral += self._integral_gain * velocity_error
+        unlimited_current = self._gain * velocity_error + self._integral
+        unlimited_current[0] += current * self._test_has_no_servo
+        unlimited_current[1] -= current * self._opposed_share
+        limited_current = np.minimum(np.maximum(unlimited_current, -self._peak), self._peak)
+        self._integral += self._unwinding_share * (limited_current - unlimited_current) * self._holds_velocity
+        command: Array = np.rint(limited_current / COMMAND_STEP) * COMMAND_STEP
         return command
 
 
-def _part(programs: Sequence[DriveReferences], start: int) -> Array:
-    """Current and velocity references of one block, shape (2, ticks, lanes); zero after the end of a run."""
+def _reference_block(programs: Sequence[DriveReferences], start: int) -> Array:
+    """Return the current and velocity references of one block, shape (2, ticks, lanes); zero after a run's end."""
     references = np.zeros((2, BLOCK, len(programs)))
     for k, program in enumerate(programs):
-        part = program.current[start : start + BLOCK]
-        references[0, : len(part), k] = part
+        currents = program.current[start : start + BLOCK]
+        references[0, : len(currents), k] = currents
         if program.velocity is not None:
-            references[1, : len(part), k] = program.velocity[start : start + BLOCK]
+            references[1, : len(currents), k] = program.velocity[start : start + BLOCK]
     return references
 
 
-def _take(block: _Block, row: int, plant: SteppedPlant, reference: Array, reading: Array) -> None:
+def _fill_row(block: _Block, row: int, plant: SteppedPlant, reference: Array, reading: Array) -> None:
+    """Write the readings of one tick into a row of the block."""
     block.reference[row] = reference[0]
     block.current[row] = plant.current_mean_sensed[0]
     block.voltage[row] = plant.voltage_mean[0]
@@ -153,14 +160,16 @@ def _take(block: _Block, row: int, plant: SteppedPlant, reference: Array, readin
     block.load_current[row] = plant.current_sensed[1]
 
 
-def _empty(length: int) -> dict[str, Any]:
+def _empty_record(length: int) -> dict[str, Any]:
+    """Return arrays of zeros for the signals of one run."""
     return {name: np.zeros(length, np.float64 if name == "angle" else np.float32) for name in _Block._fields}
 
 
-def _keep(block: _Block, records: Sequence[dict[str, Any]], lengths: Sequence[int], start: int) -> None:
+def _store_block(block: _Block, records: Sequence[dict[str, Any]], lengths: Sequence[int], start: int) -> None:
+    """Copy a block that begins at tick `start` into the records, each up to its own length."""
     for name, values in block._asdict().items():
-        by_lane = np.ascontiguousarray(values.T)
+        lane_values = np.ascontiguousarray(values.T)
         for k, length in enumerate(lengths):
-            remaining = length - start
-            if remaining > 0:
-                records[k][name][start : start + BLOCK] = by_lane[k, :remaining]
+            ticks_left = length - start
+            if ticks_left > 0:
+                records[k][name][start : start + BLOCK] = lane_values[k, :ticks_left]
