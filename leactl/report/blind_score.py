@@ -7,7 +7,7 @@ from typing import Any
 from leactl.gap.blind.score import MOST_MEDIAN_DISTANCE, MOST_USUAL_DISTANCE, Calibration, Group, Score, Share
 
 FORMAT, VERSION = "leactl-gap-score", 1
-# targets of the figures that are no shares
+# targets of those figures that are no shares
 MOST_MEAN_SET_SIZE = 1.5
 MOST_CALIBRATION_ERROR, LEAST_BRIER_SKILL = 0.04, 0.8
 HOW_TO_READ = """\
@@ -73,12 +73,12 @@ def markdown(score: Score, command: str) -> str:
         lines.append(f"| one effect: mean size of the reported set | {set_size_target} | {score.set_size:.2f} | | |")
     if score.behind_oracle is not None:
         median, quantile_90 = score.behind_oracle
-        distances = f"{MOST_MEDIAN_DISTANCE:g} / {MOST_USUAL_DISTANCE:g} | {median:.3f} / {quantile_90:.3f}"
-        lines.append(f"| distance from the oracle: median / 90 % | {distances} | | |")
+        distances_text = f"{MOST_MEDIAN_DISTANCE:g} / {MOST_USUAL_DISTANCE:g} | {median:.3f} / {quantile_90:.3f}"
+        lines.append(f"| distance from the oracle: median / 90 % | {distances_text} | | |")
     for title, calibration in (("all cases", score.calibration), ("cases with a cause", score.calibration_of_named)):
-        skill = "-" if calibration.skill is None else f"{calibration.skill:.3f}"
-        figures = f"{MOST_CALIBRATION_ERROR:g} / {LEAST_BRIER_SKILL:g} | {calibration.error:.3f} / {skill}"
-        lines.append(f"| probabilities, {title}: calibration error / Brier skill | {figures} | | |")
+        skill_text = "-" if calibration.skill is None else f"{calibration.skill:.3f}"
+        figures_text = f"{MOST_CALIBRATION_ERROR:g} / {LEAST_BRIER_SKILL:g} | {calibration.error:.3f} / {skill_text}"
+        lines.append(f"| probabilities, {title}: calibration error / Brier skill | {figures_text} | | |")
     lines += ["", "## Probability of the first cause", ""]
     lines += ["An answer without a cause counts with probability 0: nothing that it names acts.", ""]
     lines += reliability_table(score.calibration)
@@ -112,16 +112,16 @@ def share_row(share: Share) -> str:
     if share.share is None or share.interval is None:
         return f"| {share.question} | {share.target} | - | 0 of 0 | |"
     low, high = share.interval
-    figures = f"{share.share:.1%} | {share.count} of {share.total} | {low:.1%} to {high:.1%}"
-    return f"| {share.question} | {share.target} | {figures} |"
+    figures_text = f"{share.share:.1%} | {share.count} of {share.total} | {low:.1%} to {high:.1%}"
+    return f"| {share.question} | {share.target} | {figures_text} |"
 
 
 def reliability_table(calibration: Calibration) -> list[str]:
     """Return the lines of a Markdown table that compares stated probabilities with the fraction that was right."""
     lines = ["| stated | cases | mean stated | right |", "|---|---|---|---|"]
     lines += [
-        f"| {part.low:.1f} to {part.high:.1f} | {part.count} | {part.probability:.3f} | {part.right:.3f} |"
-        for part in calibration.bins
+        f"| {row.low:.1f} to {row.high:.1f} | {row.count} | {row.probability:.3f} | {row.right:.3f} |"
+        for row in calibration.bins
     ]
     lines.append("")
     lines.append(f"{calibration.count} cases, {calibration.base_rate:.1%} of them with a first cause that acts.")

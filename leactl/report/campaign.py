@@ -8,12 +8,12 @@ from leactl.report.terminal import duration
 from leactl.runner.dry_run import Preview
 
 
-def demands(expected: Preview) -> dict[str, Any]:
+def demands(preview: Preview) -> dict[str, Any]:
     """Return duration, largest setpoints and winding temperatures of a run that starts at ambient, as a JSON object."""
     return {
-        "duration_s": round(expected.duration_s, 3),
-        "peaks": peaks(expected.plan),
-        "hottest_degC": hottest(expected.forecast),
+        "duration_s": round(preview.duration_s, 3),
+        "peaks": peaks(preview.plan),
+        "hottest_degC": hottest(preview.forecast),
     }
 
 
@@ -26,30 +26,32 @@ def plan_text(title: str, body: Mapping[str, Any]) -> str:
     """
     rows = body["runs"]
     lines = [f"{body['campaign']}: {title}".rstrip(": ")]
-    texts = [_columns(row) for row in rows]
-    widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
+    column_texts = [_columns(row) for row in rows]
+    widths = [max(map(len, column)) for column in zip(*column_texts, strict=True)]
     last_prompt = ""
     for number, row in enumerate(rows, start=1):
         if row["prompt"] and row["prompt"] != last_prompt:
             lines.append(f"      mount {row['prompt']}")
         last_prompt = row["prompt"]
-        columns = "  ".join(f"{text:<{width}}" for text, width in zip(texts[number - 1], widths, strict=True))
+        columns = "  ".join(f"{text:<{width}}" for text, width in zip(column_texts[number - 1], widths, strict=True))
         details = "  ".join(filter(None, (row["actuator"], row["condition"], f"repeat {row['repeat']}")))
-        done = "  finished" if row["finished"] else ""
-        lines.append(f"{number:>5}  {duration(row['duration_s']):>8}  {columns}  {details}{done}")
+        finished_mark = "  finished" if row["finished"] else ""
+        lines.append(f"{number:>5}  {duration(row['duration_s']):>8}  {columns}  {details}{finished_mark}")
     remaining_s = sum(row["duration_s"] for row in rows if not row["finished"])
-    count = sum(not row["finished"] for row in rows)
-    lines.append(f"{count} of {len(rows)} runs are left, {duration(remaining_s)} of bench time, in {body['folder']}")
+    remaining_count = sum(not row["finished"] for row in rows)
+    lines.append(
+        f"{remaining_count} of {len(rows)} runs are left, {duration(remaining_s)} of bench time, in {body['folder']}"
+    )
     return "\n".join(lines)
 
 
 def _columns(row: Mapping[str, Any]) -> tuple[str, str, str]:
     """Return three texts on a run: step, and protocol if that has another name; largest setpoints; windings."""
     step, protocol = row["step"], row["protocol"]
-    largest = ", ".join(f"{peak['role']} {peak['value']:.4g} {peak['unit']}" for peak in row["peaks"])
-    windings = ", ".join(f"{role} {value:.0f}" for role, value in row["hottest_degC"].items())
+    setpoint_texts = ", ".join(f"{peak['role']} {peak['value']:.4g} {peak['unit']}" for peak in row["peaks"])
+    winding_texts = ", ".join(f"{role} {value:.0f}" for role, value in row["hottest_degC"].items())
     name = step if step == protocol else f"{step} ({protocol})"
-    return name, largest or "no setpoint", f"windings {windings} degC at most"
+    return name, setpoint_texts or "no setpoint", f"windings {winding_texts} degC at most"
 
 
 def campaign_state_text(body: Mapping[str, Any]) -> str:

@@ -45,6 +45,7 @@ def challenge_json(searches: Sequence[Hunted], limit: float) -> dict[str, object
 
 
 def _attempt(search: Hunted, nearest: bool) -> dict[str, object]:
+    """Return the attempt nearest to its bound, or the hottest one, as JSON takes it."""
     attempt = search.nearest if nearest else search.hottest
     return {
         "kind": attempt.kind,

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from leactl.report.plot import PlotAxis
 
 Array = npt.NDArray[np.float64]
-TICKS = (5, 5)  # largest number along x and y, approximately: at 360 px, x labels have 47 px each
-DRAWING_SIZE = 1000.0  # width and height of the drawing in its units; the `viewBox` of the templates has it too
+MOST_TICKS = (5, 5)  # along x and y, approximately: at 360 px, x labels have 47 px each
+DRAWING_SIZE = 1000.0  # width and height of the drawing in its units; templates have the same in their `viewBox`
 GAP_STEPS = 10.0  # multiple of the median step of a curve; points further apart are not connected
 LONGEST_TICK_TEXT = 7  # characters
 
@@ -46,8 +46,8 @@ class LineMarks:
         """Return the path, interrupted where a value is not finite and where points are missing."""
         path, pen = [], "M"
         steps = np.diff(self.x, prepend=self.x[:1])
-        connected = self.connected or len(steps) <= 2
-        follows_gap = steps == np.inf if connected else steps > GAP_STEPS * np.nanmedian(steps)
+        all_connected = self.connected or len(steps) <= 2
+        follows_gap = steps == np.inf if all_connected else steps > GAP_STEPS * np.nanmedian(steps)
         for x_value, y_value, after_gap in zip(self.x.tolist(), self.y.tolist(), follows_gap.tolist(), strict=True):
             if not (math.isfinite(x_value) and math.isfinite(y_value)):
                 pen = "M"
@@ -80,8 +80,8 @@ class PointMarks:
         stroke = "h0.1" if "square" in self.style.split() else "h0"
         points = zip(*map(np.ndarray.tolist, self.extent()), strict=True)
         commands = "".join(f"M{across(x, x_value)} {down(y, y_value)}{stroke}" for x_value, y_value in points)
-        hole = [SvgPath(commands, "marks hole")] if "ring" in self.style.split() else []
-        return [SvgPath(commands, f"marks {self.style}"), *hole]
+        hole_paths = [SvgPath(commands, "marks hole")] if "ring" in self.style.split() else []
+        return [SvgPath(commands, f"marks {self.style}"), *hole_paths]
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ class AxisRange:
     style: str
     low: float
     high: float
-    upright: bool = True  # whether it is a range of x; else of y
+    upright: bool = True  # True: a range of x; False: of y
 
     def extent(self) -> tuple[Array, Array]:
         """Return both ends of a range of y, which the axis has to contain; a range of x is cut at the axes instead."""
@@ -208,7 +208,10 @@ def chart(
     keys : style and name of each entry of the legend; by default those of the layers, each name once.
     """
     extents = [layer.extent() for layer in (*layers, *included_in_axes)]
-    x, y = axis([extent[0] for extent in extents], TICKS[0], x_log), axis([extent[1] for extent in extents], TICKS[1])
+    x, y = (
+        axis([extent[0] for extent in extents], MOST_TICKS[0], x_log),
+        axis([extent[1] for extent in extents], MOST_TICKS[1]),
+    )
     if not keys:
         legend_layers = [layer for layer in layers if not (isinstance(layer, LineMarks) and layer.labelled)]
         # reversed, so that the first layer of each name gives the style
@@ -235,22 +238,26 @@ def chart(
 
 def labels_on_lines(layers: Sequence[Layer], x: PlotAxis, y: PlotAxis) -> list[LineLabel]:
     """Return the labels of the lines that carry their name, each at the middle of the longest line of that name."""
-    longest: dict[str, LineMarks] = {}
+    longest_lines: dict[str, LineMarks] = {}
     for layer in layers:
-        if isinstance(layer, LineMarks) and layer.labelled and len(layer.x) > len(longest.get(layer.name, NO_CURVE).x):
-            longest[layer.name] = layer
+        if (
+            isinstance(layer, LineMarks)
+            and layer.labelled
+            and len(layer.x) > len(longest_lines.get(layer.name, NO_CURVE).x)
+        ):
+            longest_lines[layer.name] = layer
     labels = []
-    for name, line in longest.items():
-        middle = len(line.x) // 2
-        left, top = across(x, float(line.x[middle])), down(y, float(line.y[middle]))
+    for name, line in longest_lines.items():
+        middle_index = len(line.x) // 2
+        left, top = across(x, float(line.x[middle_index])), down(y, float(line.y[middle_index]))
         labels.append(LineLabel(name, percent(left), percent(top)))
     return labels
 
 
 def axis(values: Sequence[Array], ticks: int, log: bool = False) -> PlotAxis:
     """Return an axis that contains all finite values; a logarithmic axis contains those above zero."""
-    pooled = np.concatenate(values)
-    finite = pooled[np.isfinite(pooled) & ((pooled > 0.0) | (not log))]
+    all_values = np.concatenate(values)
+    finite = all_values[np.isfinite(all_values) & ((all_values > 0.0) | (not log))]
     return PlotAxis([float(finite.min()), float(finite.max())] if len(finite) else [0.0, 1.0], ticks, log)
 
 

@@ -15,10 +15,10 @@ from leactl.report.plan import peaks
 from leactl.report.terminal import encodable, encoding_of_stdout, list_line, terminal_columns, wrapped
 from leactl.runner.drill.finding import Drilled, DrillFinding, PlannedDrill, Tell
 
-NARROWEST_TABLE = 72
-WIDEST_TABLE = 160  # characters; the longest reason then takes two lines
+LEAST_TABLE_WIDTH = 72  # characters
+MOST_TABLE_WIDTH = 160  # characters; the longest reason then takes two lines
 LEAST_NAME_WIDTH, LEAST_END_WIDTH = 19, 13  # characters: of a fault's name, of the final state of the devices
-VERDICT_WIDTH, AFTER_WIDTH, NO_TORQUE_WIDTH = 3, 6, 7
+VERDICT_WIDTH, AFTER_WIDTH, NO_TORQUE_WIDTH = 3, 6, 7  # characters
 
 
 def print_drill(drilled: Drilled) -> None:
@@ -28,7 +28,7 @@ def print_drill(drilled: Drilled) -> None:
 
 def render(drilled: Drilled, width: int = 80, encoding: str = "utf-8") -> str:
     """Return the whole drill as text for a stream of this width and encoding."""
-    width = min(max(width, NARROWEST_TABLE), WIDEST_TABLE)
+    width = min(max(width, LEAST_TABLE_WIDTH), MOST_TABLE_WIDTH)
     text_width = width - VERDICT_WIDTH - AFTER_WIDTH - NO_TORQUE_WIDTH - 5  # a space between two columns
     name_width, end_width = max(LEAST_NAME_WIDTH, text_width // 3), max(LEAST_END_WIDTH, text_width // 4)
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
@@ -50,12 +50,12 @@ def render(drilled: Drilled, width: int = 80, encoding: str = "utf-8") -> str:
     return encodable("\n".join(lines) + "\n", encoding)
 
 
-def planned_body(planned: PlannedDrill) -> dict[str, Any]:
+def planned_body(drill: PlannedDrill) -> dict[str, Any]:
     """Return a planned drill as a JSON object: each rehearsal with its longest duration and peak demands."""
     return {
-        "bench": planned.bench,
-        "emulated": planned.emulated,
-        "devices": list(planned.devices),
+        "bench": drill.bench,
+        "emulated": drill.emulated,
+        "devices": list(drill.devices),
         "rehearsals": [
             {
                 "name": rehearsal.name,
@@ -64,9 +64,9 @@ def planned_body(planned: PlannedDrill) -> dict[str, Any]:
                 "duration_s": rehearsal.plan.duration_s,
                 "peaks": peaks(rehearsal.plan),
             }
-            for rehearsal in planned.rehearsals
+            for rehearsal in drill.rehearsals
         ],
-        "not_rehearsed": [{"name": name, "why": reason} for name, reason in planned.left_out.items()],
+        "not_rehearsed": [{"name": name, "why": reason} for name, reason in drill.left_out.items()],
     }
 
 
@@ -83,10 +83,12 @@ def planned_text(body: Mapping[str, Any]) -> str:
         name = " ".join(filter(None, (rehearsal["name"], rehearsal["on"])))
         lines.append(f"{name}: {rehearsal['duration_s']:.1f} s at most, {', '.join(demands) or 'drives off'}")
         lines.append(list_line("  ", rehearsal["explained"]))
-    lines += [list_line("not rehearsed: ", f"{item['name']}: {item['why']}") for item in body["not_rehearsed"]]
+    lines += [
+        list_line("not rehearsed: ", f"{omission['name']}: {omission['why']}") for omission in body["not_rehearsed"]
+    ]
     lines.append(list_line("would open ", ", ".join(body["devices"]) or "no device"))
-    kind = "emulated in this process" if body["emulated"] else "real or served; each is asked for before"
-    lines.append(f"{body['bench']} ({kind}): {len(body['rehearsals'])} would be rehearsed; nothing was moved")
+    bench_kind = "emulated in this process" if body["emulated"] else "real or served; each is asked for before"
+    lines.append(f"{body['bench']} ({bench_kind}): {len(body['rehearsals'])} would be rehearsed; nothing was moved")
     return "\n".join(lines)
 
 
@@ -105,15 +107,17 @@ def markdown(drilled: Drilled) -> str:
 def summary(drilled: Drilled) -> str:
     """Return a sentence on the number of rehearsals, and the number of those that ended as they should."""
     passed_count = sum(finding.held for finding in drilled.findings)
-    kind = "emulated" if drilled.emulated else "real or served"
-    return f"{drilled.bench} ({kind}): {len(drilled.findings)} rehearsed, {passed_count} ended as they ought to"
+    bench_kind = "emulated" if drilled.emulated else "real or served"
+    return f"{drilled.bench} ({bench_kind}): {len(drilled.findings)} rehearsed, {passed_count} ended as they ought to"
 
 
 def _failures(drilled: Drilled) -> list[str]:
+    """Return a line for each rehearsal that did not end as it should."""
     return [f"{_name(finding)}: {'; '.join(finding.faults)}" for finding in drilled.findings if not finding.held]
 
 
 def _notes(drilled: Drilled) -> list[str]:
+    """Return a line for each note on a rehearsal."""
     return [f"{_name(finding)}: {note}" for finding in drilled.findings for note in finding.notes]
 
 
@@ -145,11 +149,13 @@ def _cells(finding: DrillFinding) -> tuple[str, ...]:
 
 def _final_state(finding: DrillFinding) -> str:
     """Return the devices that still have power, and those whose safe state is not confirmed; else `safe`."""
-    powered = [name for name, state in finding.devices.items() if state.without_power is False]
-    unconfirmed = [name for name, state in finding.devices.items() if not state.confirmed and name not in powered]
-    off = "off, " if finding.zero_torque_s is not None else ""
-    texts = [f"{', '.join(powered)} HAS POWER"] if powered else []
-    texts += [f"{', '.join(unconfirmed)} {off}not confirmed"] if unconfirmed else []
+    powered_devices = [name for name, state in finding.devices.items() if state.without_power is False]
+    unconfirmed_devices = [
+        name for name, state in finding.devices.items() if not state.confirmed and name not in powered_devices
+    ]
+    prefix = "off, " if finding.zero_torque_s is not None else ""
+    texts = [f"{', '.join(powered_devices)} HAS POWER"] if powered_devices else []
+    texts += [f"{', '.join(unconfirmed_devices)} {prefix}not confirmed"] if unconfirmed_devices else []
     return "; ".join(texts) or "safe"
 
 
@@ -160,12 +166,14 @@ def progress(console: Console | None = None) -> Iterator[Tell]:
     Yields the function to call with the name of the rehearsal, the number of finished ones and the number of all.
     """
     console = console or Console(file=sys.__stderr__ if sys.stderr.isatty() else sys.stderr)
-    start = time.monotonic()
+    start_time = time.monotonic()
     if not console.is_terminal:
 
         def print_line(rehearsal: str, done: int, count: int) -> None:
-            remaining = f", about {(time.monotonic() - start) / done * (count - done):.0f} s left" if done else ""
-            print(f"{done + 1} of {count}: {rehearsal}{remaining}", file=console.file, flush=True)
+            remaining_text = (
+                f", about {(time.monotonic() - start_time) / done * (count - done):.0f} s left" if done else ""
+            )
+            print(f"{done + 1} of {count}: {rehearsal}{remaining_text}", file=console.file, flush=True)
 
         yield print_line
         return

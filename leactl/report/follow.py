@@ -1,4 +1,4 @@
-"""Prints the newest readings of a bench at intervals while a run takes them: `leactl bench read --follow`.
+"""Print the newest readings of a bench at intervals while a run takes them: `leactl bench read --follow`.
 
 A thread of its own prints the lines, from the `Progress` that the control loop publishes. Where the reader of stdout
 takes no lines, that thread waits and the run does not.
@@ -23,9 +23,9 @@ from leactl.runfile.read.tail import StreamRows
 from leactl.runfile.read.traces import chosen_channels
 from leactl.runner.progress import Progress
 
-FIRST_LINE_S: Final = 1.0  # by then most devices have a reading; a longer silence would look like a hang
+FIRST_LINE_S: Final = 1.0  # until the first line: most devices have a reading then, and nobody suspects a hang
 LEAST_PAUSE_S: Final = 0.01  # between two lines
-SILENT_AFTER_S: Final = 5.0  # without a reading, from which a device counts as silent
+SILENT_AFTER_S: Final = 5.0  # time without a reading, after which a device counts as silent
 
 
 class ReadingSampler:
@@ -34,26 +34,26 @@ class ReadingSampler:
     A value is NaN where its stream has no new row since the last sample, or where the row has none for the channel.
     """
 
-    def __init__(self, bench: str, streams: Mapping[str, Sequence[ChannelSpec]], words: Sequence[str]) -> None:
+    def __init__(self, bench: str, streams: Mapping[str, Sequence[ChannelSpec]], channel_words: Sequence[str]) -> None:
         """Choose the channels to sample.
 
         Parameters
         ----------
         bench : name of the bench, for messages and headings.
         streams : the channels of each stream of the bench.
-        words : names of channels as `channel_names` takes them; an empty sequence chooses all channels but setpoints.
+        channel_words : names of channels as `channel_names` takes them; without any, all but setpoints are chosen.
 
         Raises
         ------
         MissingChannel : a word is the name of no channel.
         """
-        chosen = set(chosen_channels(streams, words, "", f"bench '{bench}'"))
+        chosen_names = set(chosen_channels(streams, channel_words, "", f"bench '{bench}'"))
         self._bench = bench
         self._channels = [
             (stream, column, spec)
             for stream, specs in streams.items()
             for column, spec in enumerate(specs)
-            if f"{stream}/{spec.name}" in chosen and (words or not spec.quantity.endswith("_reference"))
+            if f"{stream}/{spec.name}" in chosen_names and (channel_words or not spec.quantity.endswith("_reference"))
         ]
         names = [spec.name for _, _, spec in self._channels]
         self.names = tuple(
@@ -67,11 +67,11 @@ class ReadingSampler:
 
     def sample(self, progress: Progress) -> StreamRows:
         """Return the newest readings as one row; a row that the last sample had already does not count."""
-        newest = {"loop": progress.values, **progress.device_values}
-        fresh = {stream: row for stream, row in newest.items() if row is not self._last_rows.get(stream)}
-        self._last_rows = newest
+        newest_rows = {"loop": progress.values, **progress.device_values}
+        new_rows = {stream: row for stream, row in newest_rows.items() if row is not self._last_rows.get(stream)}
+        self._last_rows = newest_rows
         values = [
-            fresh[stream][column] if column < len(fresh.get(stream, ())) else math.nan
+            new_rows[stream][column] if column < len(new_rows.get(stream, ())) else math.nan
             for stream, column, _ in self._channels
         ]
         for value, (_, _, spec) in zip(values, self._channels, strict=True):
@@ -134,10 +134,10 @@ class Follower:
         try:
             pause = min(self._interval_s, FIRST_LINE_S)
             due_s = pause
-            shown_s = -math.inf
+            printed_s = -math.inf
             while not ended.wait(pause) and self.stdout_error is None:
-                if progress.time_s > shown_s:  # else the control loop has made no new cycle
-                    shown_s = progress.time_s
+                if progress.time_s > printed_s:  # else the control loop has made no new cycle
+                    printed_s = progress.time_s
                     self._print_sample(progress)
                 due_s = max(due_s + self._interval_s, progress.time_s)  # lines that a slow reader missed are skipped
                 pause = max(LEAST_PAUSE_S, due_s - progress.time_s)
@@ -167,6 +167,7 @@ class Follower:
                 print(f"leactl: {text}", file=sys.stderr, flush=True)
 
     def _write(self, text: str) -> None:
+        """Write a text to stdout; if that fails, store the error in `stdout_error`."""
         unwritten = text.encode(self._encoding, errors="replace")
         try:
             while unwritten:

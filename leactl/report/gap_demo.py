@@ -23,7 +23,7 @@ HEADINGS = ["parameter", "planted", "fitted ± std"]
 
 
 class Files(NamedTuple):
-    """The files of a demonstration; the key lies apart from the bench's runs."""
+    """The files of a demonstration; the key is in a folder apart from that of the runs."""
 
     bench: Path
     key: Path
@@ -55,51 +55,56 @@ def demonstration_json(demonstration: Demonstration, seed: int, files: Files) ->
 
 def verdict(demonstration: Demonstration) -> str:
     """Return one sentence that says what was planted and what was named."""
-    planted = f"Planted, at {demonstration.strength} strength: {demonstration.planted}"
+    planted_text = f"Planted, at {demonstration.strength} strength: {demonstration.planted}"
     if demonstration.cause is None:
-        named = enumerated([cause.effect for cause in demonstration.others])
-        return f"{planted}. Missed: {f'named was {named}' if named else 'nothing was named'}."
+        named_effects = enumerated([cause.effect for cause in demonstration.others])
+        return f"{planted_text}. Missed: {f'named was {named_effects}' if named_effects else 'nothing was named'}."
     chance = probability_text(demonstration.cause.probability)
     if not demonstration.others:
-        return f"{planted}. Named: {demonstration.planted}, with a probability {_of(chance)}, and nothing else."
-    similar = demonstration.cause.indistinguishable_from
-    indistinguishable = [cause.effect for cause in demonstration.others if cause.effect in similar]
-    further = [cause.effect for cause in demonstration.others if cause.effect not in similar]
-    confused = f", which these runs cannot tell from {enumerated(indistinguishable)}" if indistinguishable else ""
-    also_named = f"; named beside it, though not planted: {enumerated(further)}" if further else ""
-    return f"{planted}. Named: {demonstration.planted}{confused}, with a probability {_of(chance)}{also_named}."
+        return (
+            f"{planted_text}. Named: {demonstration.planted}, with a probability {_phrase(chance)}, and nothing else."
+        )
+    similar_effects = demonstration.cause.indistinguishable_from
+    indistinguishable = [cause.effect for cause in demonstration.others if cause.effect in similar_effects]
+    other_effects = [cause.effect for cause in demonstration.others if cause.effect not in similar_effects]
+    confusion = f", which these runs cannot tell from {enumerated(indistinguishable)}" if indistinguishable else ""
+    addition = f"; named beside it, though not planted: {enumerated(other_effects)}" if other_effects else ""
+    return f"{planted_text}. Named: {demonstration.planted}{confusion}, with a probability {_phrase(chance)}{addition}."
 
 
-def _of(chance: str) -> str:
-    return f"of {chance}" if chance[0].isdigit() else chance
+def _phrase(probability: str) -> str:
+    """Return `of 0.93`, or a bound such as `> 0.99` without a preposition."""
+    return f"of {probability}" if probability[0].isdigit() else probability
 
 
 def parameter_rows(demonstration: Demonstration) -> list[list[str]]:
     """Return a row for each parameter: its name, its planted value and its fitted value."""
-    fitted = (
+    fitted_texts = (
         {}
         if demonstration.cause is None
         else {parameter.name: parameter_text(parameter) for parameter in demonstration.cause.parameters}
     )
-    units = effect_definition(demonstration.planted).parameters
+    definitions = effect_definition(demonstration.planted).parameters
     return [
-        [name, f"{value:.5g} {bare_units(units[name].units)}".rstrip(), fitted.get(name, "")]
+        [name, f"{value:.5g} {bare_units(definitions[name].units)}".rstrip(), fitted_texts.get(name, "")]
         for name, value in demonstration.parameters.items()
     ]
 
 
 def demonstration_lines(demonstration: Demonstration, seed: int, files: Files) -> list[str]:
     """Return the lines that the terminal shows."""
-    shape = demonstration.cause.picture if demonstration.cause is not None else None
-    picture = [f"over {variable_words(shape)}, held-out runs: {picture_words(shape)}"] if shape is not None else []
-    sentences = [verdict(demonstration), effect_meaning(demonstration.planted), *picture]
-    written = [f"wrote {files.page}", f"the same again: leactl gap demo --seed {seed}"]
+    picture = demonstration.cause.picture if demonstration.cause is not None else None
+    picture_lines = (
+        [f"over {variable_words(picture)}, held-out runs: {picture_words(picture)}"] if picture is not None else []
+    )
+    sentences = [verdict(demonstration), effect_meaning(demonstration.planted), *picture_lines]
+    file_lines = [f"wrote {files.page}", f"the same again: leactl gap demo --seed {seed}"]
     return [
         *(list_line("", text) for text in sentences),
         "",
         aligned(HEADINGS, parameter_rows(demonstration)),
         "",
-        *written,
+        *file_lines,
     ]
 
 

@@ -20,7 +20,7 @@ from leactl.report.gap_words import (
     variable_words,
 )
 
-MOST_CARDS = 5  # channels
+MOST_CARDS = 5  # each of one channel
 MODELS = ("nominal", "calibrated", "augmented")
 PICTURE = "Mean residual in each bin with its 95 % interval, on held-out runs"
 WITHOUT_AND_WITH = ("before: calibrated without it", "after: with it")
@@ -39,14 +39,16 @@ class Card(NamedTuple):
 
 def channel_cards(answer: DiagnosisResult) -> list[Card]:
     """Return a card for each channel with a large gap, open gaps first, then gaps that calibration closed."""
-    traces = {(entry.quantity, entry.role, entry.mechanical): entry for entry in answer.extra.get("traces", ())}
-    profiles = {(entry.quantity, entry.role, entry.mechanical): entry for entry in answer.extra.get("profiles", ())}
+    traces = {(record.quantity, record.role, record.mechanical): record for record in answer.extra.get("traces", ())}
+    profiles = {
+        (record.quantity, record.role, record.mechanical): record for record in answer.extra.get("profiles", ())
+    }
     cards = []
-    closed = sorted(
-        (entry for entry in answer.where if not open_gap(entry)),
-        key=lambda entry: -entry.nominal_rms / max(entry.floor_rms, 1e-300),
+    closed_channels = sorted(
+        (record for record in answer.where if not open_gap(record)),
+        key=lambda record: -record.nominal_rms / max(record.floor_rms, 1e-300),
     )
-    for channel in [*filter(open_gap, answer.where), *closed]:
+    for channel in [*filter(open_gap, answer.where), *closed_channels]:
         key = (channel.quantity, channel.role, channel.mechanical)
         if key not in traces or max(channel.nominal_rms, channel.calibrated_rms) < LEAST_GAP_FLOORS * channel.floor_rms:
             continue
@@ -60,7 +62,7 @@ def channel_cards(answer: DiagnosisResult) -> list[Card]:
 
 def effect_cards(answer: DiagnosisResult) -> list[Card]:
     """Return a card for each cause: the residual before and after it is added, over the variable on which it acts."""
-    drawn = [(cause, cause.picture) for cause in answer.causes if cause.picture is not None]
+    pictured_causes = [(cause, cause.picture) for cause in answer.causes if cause.picture is not None]
     return [
         picture_card(cause.effect, picture, LOGGED_AND_MENDED, f"{PICTURE}, against what the channel should read")
         if cause.family == "setup"
@@ -70,7 +72,7 @@ def effect_cards(answer: DiagnosisResult) -> list[Card]:
             LEFT_OUT_AND_WITH if picture.refitted is False else WITHOUT_AND_WITH,
             f"{PICTURE} where the effect acts",
         )
-        for cause, picture in drawn
+        for cause, picture in pictured_causes
     ]
 
 
@@ -86,20 +88,22 @@ def picture_card(title: str, picture: Picture, names: tuple[str, str], caption: 
     layers: list[Layer] = []
     for model, style, name in zip(("before", "after"), ("calibrated", "augmented"), names, strict=True):
         mean = np.asarray([getattr(each_bin, model) for each_bin in drawn_bins])
-        spread = np.asarray([getattr(each_bin, f"{model}_high") - getattr(each_bin, model) for each_bin in drawn_bins])
-        layers.append(Bins(name, style, low, high, mean, np.nan_to_num(spread)))
+        half_width = np.asarray(
+            [getattr(each_bin, f"{model}_high") - getattr(each_bin, model) for each_bin in drawn_bins]
+        )
+        layers.append(Bins(name, style, low, high, mean, np.nan_to_num(half_width)))
     zero_ends = np.asarray([low[0], high[-1]]) if len(drawn_bins) else np.zeros(0)
     layers.append(LineMarks("", "zero", zero_ends, np.zeros(len(zero_ends)), connected=True))
     keys = [(layer.style, layer.name) for layer in layers if layer.name]
     x_label = with_units(variable_words(picture), picture.variable_units)
-    drawn = chart(layers, x_label, with_units(residual_words(picture), picture.units), keys=keys)
-    return Card(title, picture_words(picture), [CaptionedChart(caption, drawn)])
+    drawn_chart = chart(layers, x_label, with_units(residual_words(picture), picture.units), keys=keys)
+    return Card(title, picture_words(picture), [CaptionedChart(caption, drawn_chart)])
 
 
-def compared_models(effects: bool) -> tuple[tuple[str, str], tuple[str, str]]:
+def compared_models(has_effects: bool) -> tuple[tuple[str, str], tuple[str, str]]:
     """Return name and legend of two models: without and with the effects, else before and after calibration."""
-    before, after = ("calibrated", "augmented") if effects else ("nominal", "calibrated")
-    return (before, f"before ({before})"), (after, f"after ({after})")
+    first_model, second_model = ("calibrated", "augmented") if has_effects else ("nominal", "calibrated")
+    return (first_model, f"before ({first_model})"), (second_model, f"after ({second_model})")
 
 
 def trace_figure(trace: Trace) -> CaptionedChart:
@@ -117,13 +121,13 @@ def profile_figure(profile: Profile, channel: Where) -> CaptionedChart:
     if channel.region is not None:
         layers.append(AxisRange("region", "region", channel.region.low, channel.region.high))
     for name, label in compared_models(not np.array_equal(profile.mean[1], profile.mean[2])):
-        row = MODELS.index(name)
-        layers.append(Bins(label, name, profile.low, profile.high, profile.mean[row], profile.std[row]))
+        model_row = MODELS.index(name)
+        layers.append(Bins(label, name, profile.low, profile.high, profile.mean[model_row], profile.std[model_row]))
     layers.append(AxisRange("± floor", "floor", -channel.floor_rms, channel.floor_rms, upright=False))
     region = region_text(channel.region, channel.share)
     caption = f"Measured minus simulated: mean ± standard deviation in each bin; {region}"
-    drawn = chart(layers, with_units(profile.variable, profile.variable_units), f"residual [{profile.units}]")
-    return CaptionedChart(caption, drawn)
+    drawn_chart = chart(layers, with_units(profile.variable, profile.variable_units), f"residual [{profile.units}]")
+    return CaptionedChart(caption, drawn_chart)
 
 
 def with_units(quantity: str, units: str) -> str:

@@ -35,22 +35,20 @@ def effect_text(name: str) -> str:
 
     Raises
     ------
-    InputError : no such effect; the known ones are named.
+    InputError : no effect has this name.
     """
-    explanation = effect_sheet(name)
+    sheet = effect_sheet(name)
     keys = ("equation", "acts_over", "shown_on", "shows_in", "confused_with", "shown_by")
-    texts = explanation | {
-        key: " or ".join(explanation[key]) for key in ("acts_over", "shown_on") if key in explanation
-    }
+    texts = sheet | {key: " or ".join(sheet[key]) for key in ("acts_over", "shown_on") if key in sheet}
     rows = [(key.replace("_", " "), texts[key]) for key in keys if key in texts]
-    for parameter in explanation.get("parameters", ()):
+    for parameter in sheet.get("parameters", ()):
         default = f", by default {parameter['default']:g}" if parameter.get("default") is not None else ""
         units = "" if parameter["units"] == "1" else f" {parameter['units']}"
         limits = f"[{parameter['low']:g} to {parameter['high']:g}{units}{default}]"
         rows.append((parameter["name"], f"{parameter['meaning']} {limits}"))
     width = max(len(title) for title, _ in rows)
     lines = [list_line(f"  {title:<{width}}  ", text) for title, text in rows]
-    return "\n".join([list_line(f"{name}: ", explanation["meaning"]), *lines])
+    return "\n".join([list_line(f"{name}: ", sheet["meaning"]), *lines])
 
 
 def advice_json(advice: "Advice") -> dict[str, Any]:
@@ -104,12 +102,12 @@ def advice_lines(advice: "Advice") -> list[str]:
 
 def sight_line(sight: "Sight", width: int) -> str:
     """Return the line of one effect: the size from which runs show it, the size worth knowing, and similar effects."""
-    smallest = "invisible" if sight.smallest is None else f"{sight.smallest:.2g}"
-    mark = "" if sight.seen else "  not shown"
+    smallest_text = "invisible" if sight.smallest is None else f"{sight.smallest:.2g}"
+    visibility = "" if sight.seen else "  not shown"
     similar_text = f"  looks like {', '.join(sight.alike)}" if sight.alike else ""
     units = "" if sight.units == "1" else f" {sight.units}"
-    worth = "-" if sight.faint is None else f"{sight.faint:.2g}{units}"
-    return f"{sight.effect:<{width}}  {smallest:>10}  {worth:<20}{mark}{similar_text}".rstrip()
+    worth_text = "-" if sight.faint is None else f"{sight.faint:.2g}{units}"
+    return f"{sight.effect:<{width}}  {smallest_text:>10}  {worth_text:<20}{visibility}{similar_text}".rstrip()
 
 
 def experiment_lines(experiment: "AdvisedProtocol") -> list[str]:
@@ -131,19 +129,28 @@ def wrapped_list(text: str) -> list[str]:
 
 def closed_loop_lines(loop: "ClosedLoop") -> list[str]:
     """Return the lines of `gap loop`: the effects named, each held-out run before and after, files, notes."""
-    named = f"Named: {enumerated(list(loop.named))}." if loop.named else "No effect was named."
+    named_line = f"Named: {enumerated(list(loop.named))}." if loop.named else "No effect was named."
     rows = [played_cells(run) for run in (*loop.runs, loop.total)]
-    left_out = [
+    left_out_lines = [
         f"{destination.entry.effect}: left out, {destination.reason}"
         for destination in loop.patched.effects
         if destination.reason
     ]
     notes = [list_line("note: ", note) for note in loop.notes]
-    written = [f"wrote {path}" for path in loop.written]
-    return [named, "", aligned(LOOP_HEADINGS, rows), "", *left_out, *written, *([""] if notes else []), *notes]
+    file_lines = [f"wrote {path}" for path in loop.written]
+    return [
+        named_line,
+        "",
+        aligned(LOOP_HEADINGS, rows),
+        "",
+        *left_out_lines,
+        *file_lines,
+        *([""] if notes else []),
+        *notes,
+    ]
 
 
 def played_cells(run: "PlayedRun") -> list[str]:
     """Return one run's cells under `LOOP_HEADINGS`."""
-    closed = "" if run.before <= 0.0 else f"{100.0 * (1.0 - run.after / run.before):.0f} %"
-    return [run.run, f"{run.before:.4g}", f"{run.file:.4g}", f"{run.after:.4g}", closed]
+    closed_text = "" if run.before <= 0.0 else f"{100.0 * (1.0 - run.after / run.before):.0f} %"
+    return [run.run, f"{run.before:.4g}", f"{run.file:.4g}", f"{run.after:.4g}", closed_text]

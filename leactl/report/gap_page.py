@@ -44,7 +44,7 @@ from leactl.report.gap_words import (
 from leactl.report.html import code_parts, render
 
 MODELS = ("nominal", "calibrated", "augmented", "floor")
-MOST_CARDS = 12  # channels with bars, where no effect is added
+MOST_CARDS = 12  # channels that have bars if no effect is added
 SCALE_START = 0.5  # start of the logarithmic scale of the bars, as a multiple of the smallest value
 
 
@@ -55,15 +55,15 @@ def page(answer: DiagnosisResult) -> str:
 
 def content(answer: DiagnosisResult) -> dict[str, Any]:
     """Return the variables of the template `gap.html` for a diagnosis."""
-    model, empty = answer.extra.get("augmented"), closes_nothing(answer)
+    augmented_model, nothing_closes = answer.extra.get("augmented"), closes_nothing(answer)
     return {
-        "of_model": f": {model.name}" if model is not None else "",
+        "of_model": f": {augmented_model.name}" if augmented_model is not None else "",
         "verdict": answer.verdict,
         "sentence": verdict_sentence(answer),
         "facts": headline_facts(answer),
         "simulator": simulator_content(answer.simulator, claimed_effects(answer)) if answer.simulator else None,
-        "causes": [cause_content(cause, empty) for cause in answer.causes],
-        "closes_nothing": CLOSES_NOTHING if empty else "",
+        "causes": [cause_content(cause, nothing_closes) for cause in answer.causes],
+        "closes_nothing": CLOSES_NOTHING if nothing_closes else "",
         "effect_cards": effect_cards(answer),
         "rest": rest_content(answer.unexplained) if answer.unexplained else None,
         "shrinkage": shrinkage_content(answer) if answer.shrinkage else None,
@@ -78,12 +78,12 @@ def headline_facts(answer: DiagnosisResult) -> list[str]:
     """Return the probability that something unexplained acts, the largest gap, and how many channels have none."""
     facts = [f"Probability that something unexplained acts: {probability_text(answer.unexplained_probability)}."]
     for channel in largest_first(answer.shrinkage)[:1]:
-        after = f", {three_digits(channel.augmented_rms)} with the effects" if claimed_effects(answer) else ""
-        closed = f"; closed {closed_text(channel)}" if claimed_effects(answer) else ""
+        augmented_text = f", {three_digits(channel.augmented_rms)} with the effects" if claimed_effects(answer) else ""
+        closed_clause = f"; closed {closed_text(channel)}" if claimed_effects(answer) else ""
         facts.append(
             f"Largest gap: {channel_label(channel, answer.shrinkage)},"
-            f" {three_digits(channel.calibrated_rms)} {bare_units(channel.units)} after calibration{after},"
-            f" floor {three_digits(channel.floor_rms)}{closed}."
+            f" {three_digits(channel.calibrated_rms)} {bare_units(channel.units)} after calibration{augmented_text},"
+            f" floor {three_digits(channel.floor_rms)}{closed_clause}."
         )
     if answer.shrinkage:
         facts += [MENDED_FIRST] if claimed_faults(answer) else []
@@ -130,11 +130,13 @@ def rest_content(residual: Rest) -> dict[str, Any]:
 
 
 def shrinkage_content(answer: DiagnosisResult) -> dict[str, Any]:
-    """Return bars for the channels with a gap, and a table of all channels."""
-    effects = bool(claimed_effects(answer))
-    largest = largest_first(answer.shrinkage)
-    shown = largest if effects else [*largest, *closed_by_calibration(answer.shrinkage)][:MOST_CARDS]
-    ends = scale_ends(shown) if shown else (0.0, 0.0)
+    """Return the bars of the channels with a gap, and a table of all channels."""
+    has_effects = bool(claimed_effects(answer))
+    open_channels = largest_first(answer.shrinkage)
+    shown_channels = (
+        open_channels if has_effects else [*open_channels, *closed_by_calibration(answer.shrinkage)][:MOST_CARDS]
+    )
+    scale = scale_ends(shown_channels) if shown_channels else (0.0, 0.0)
     rows = [
         [
             channel_label(channel, answer.shrinkage),
@@ -142,14 +144,16 @@ def shrinkage_content(answer: DiagnosisResult) -> dict[str, Any]:
             bare_units(channel.units),
             closed_text(channel),
         ]
-        for channel in [*largest, *(channel for channel in answer.shrinkage if not open_gap(channel))]
+        for channel in [*open_channels, *(channel for channel in answer.shrinkage if not open_gap(channel))]
     ]
     headings = ["channel", *MODELS, "units", "closed (95 %)"]
-    if not effects:
-        dropped = {headings.index("augmented"), headings.index("closed (95 %)")}
-        headings, *rows = ([cell for k, cell in enumerate(row) if k not in dropped] for row in (headings, *rows))
+    if not has_effects:
+        dropped_columns = {headings.index("augmented"), headings.index("closed (95 %)")}
+        headings, *rows = (
+            [cell for k, cell in enumerate(row) if k not in dropped_columns] for row in (headings, *rows)
+        )
     return {
-        "channels": [channel_bars(channel, answer.shrinkage, *ends, effects) for channel in shown],
+        "channels": [channel_bars(channel, answer.shrinkage, *scale, has_effects) for channel in shown_channels],
         "count": closed_count_text(answer.shrinkage),
         "headings": headings,
         "rows": rows,
@@ -175,23 +179,23 @@ def bar_unit(channel: Shrinkage) -> float:
 
 
 def channel_bars(
-    channel: Shrinkage, channels: Sequence[Shrinkage], low: float, high: float, effects: bool
+    channel: Shrinkage, channels: Sequence[Shrinkage], scale_start: float, scale_end: float, has_effects: bool
 ) -> dict[str, Any]:
     """Return the bars of one channel; without effects the augmented model has no bar, since it is the calibrated one.
 
     Parameters
     ----------
-    low, high : ends of the scale, as `scale_ends` returns them.
-    effects : whether effects are claimed.
+    scale_start, scale_end : as `scale_ends` returns them.
+    has_effects : whether effects are claimed.
     """
     bars = []
     for name, value in zip(MODELS, rms_by_model(channel), strict=True):
-        if name == "augmented" and not effects:
+        if name == "augmented" and not has_effects:
             continue
-        positive = math.isfinite(value) and value > 0.0
-        share = (math.log(value / bar_unit(channel)) - low) / (high - low) if positive else 0.0
+        is_positive = math.isfinite(value) and value > 0.0
+        share = (math.log(value / bar_unit(channel)) - scale_start) / (scale_end - scale_start) if is_positive else 0.0
         bars.append((name, f"{100 * share:.4g}%", f"{three_digits(value)} {bare_units(channel.units)}"))
-    remark = f"closed {closed_text(channel)}" if effects else after_calibration(channel, "floor")
+    remark = f"closed {closed_text(channel)}" if has_effects else after_calibration(channel, "floor")
     return {"label": channel_label(channel, channels), "remark": remark, "bars": bars}
 
 

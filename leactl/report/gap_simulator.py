@@ -35,22 +35,24 @@ def simulator_sentences(simulator: SimulatorAnswer, real_effects: Sequence[str])
     """
     pairing_counts = Counter(pair.paired_by for pair in simulator.runs)
     pairings = enumerated([f"{count} {PAIRED[criterion]}" for criterion, count in pairing_counts.items()])
-    contains = [effect.effect for effect in simulator.effects]
+    simulator_effects = [effect.effect for effect in simulator.effects]
     sentences = [
         f"The nominal is a simulator: its runs have the inputs of the real ones (paired: {pairings}).",
-        f"It contains {enumerated(contains)}." if contains else "It contains no effect beyond the model's plain form.",
+        f"It contains {enumerated(simulator_effects)}."
+        if simulator_effects
+        else "It contains no effect beyond the model's plain form.",
     ]
     if simulator.verdict == "unknown":
         sentences.append("It does something that no effect of the library explains, which counts as its floor.")
-    new_effects = [name for name in real_effects if name not in contains]
-    resized = [f"{name} of another size" for name in real_effects if name in contains]
-    lacking = [effect.effect for effect in simulator.effects if effect.in_real == "absent"]
-    differing = [parameter.parameter for parameter in simulator.parameters if parameter.differs]
-    sentences.append(f"The real runs have {enumerated([*new_effects, *resized]) or 'no effect'} beyond it.")
-    if lacking:
-        sentences.append(f"The real runs lack {enumerated(lacking)} of it.")
-    if differing:
-        sentences.append(f"Parameters differ beyond both uncertainties: {enumerated(differing)}.")
+    new_effects = [name for name in real_effects if name not in simulator_effects]
+    resized_effects = [f"{name} of another size" for name in real_effects if name in simulator_effects]
+    absent_effects = [effect.effect for effect in simulator.effects if effect.in_real == "absent"]
+    differing_parameters = [parameter.parameter for parameter in simulator.parameters if parameter.differs]
+    sentences.append(f"The real runs have {enumerated([*new_effects, *resized_effects]) or 'no effect'} beyond it.")
+    if absent_effects:
+        sentences.append(f"The real runs lack {enumerated(absent_effects)} of it.")
+    if differing_parameters:
+        sentences.append(f"Parameters differ beyond both uncertainties: {enumerated(differing_parameters)}.")
     return sentences
 
 
@@ -84,14 +86,14 @@ def effect_rows(simulator: SimulatorAnswer) -> list[list[str]]:
     for effect in simulator.effects:
         presence = IN_REAL[effect.in_real]
         for parameter in effect.parameters:
-            real = (
+            real_text = (
                 "" if parameter.real is None else with_std(parameter.real, parameter.real_std or 0.0, parameter.units)
             )
             rows.append(
                 [
                     f"{effect.effect} {parameter.name}",
                     with_std(parameter.simulated, parameter.simulated_std, parameter.units),
-                    real,
+                    real_text,
                     presence,
                 ]
             )

@@ -125,20 +125,22 @@ def shrinkage_part(answer: DiagnosisResult, width: int) -> str:
     """Return the channels that have a gap, before and after, and how many have none."""
     if not answer.shrinkage:
         return ""
-    shown = largest_first(answer.shrinkage)
+    shown_channels = largest_first(answer.shrinkage)
     lines: list[str] = []
     headings: tuple[str, ...]
-    if shown and claimed_effects(answer):
+    if shown_channels and claimed_effects(answer):
         headings = ("gap (RMS)", "nominal", "before", "after", "floor", "", "closed (95 %)")
         lines.append(
-            table(headings, [augmented_row(channel, answer.shrinkage) for channel in shown], width, droppable=1)
+            table(
+                headings, [augmented_row(channel, answer.shrinkage) for channel in shown_channels], width, droppable=1
+            )
         )
         lines.append(filled("before: the calibrated model; after: with the effects; on held-out runs", width))
     else:
-        shown = shown or closed_by_calibration(answer.shrinkage)[:MOST_REGIONS]
-    if shown and not lines:
+        shown_channels = shown_channels or closed_by_calibration(answer.shrinkage)[:MOST_REGIONS]
+    if shown_channels and not lines:
         headings = ("gap (RMS)", "nominal", "calibrated", "floor", "", "over floor")
-        lines.append(table(headings, [calibrated_row(channel, answer.shrinkage) for channel in shown], width))
+        lines.append(table(headings, [calibrated_row(channel, answer.shrinkage) for channel in shown_channels], width))
     lines += [filled(MENDED_FIRST, width)] if claimed_faults(answer) else []
     return "\n".join([*lines, filled(closed_count_text(answer.shrinkage), width)])
 
@@ -199,18 +201,21 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int, dr
     full_table = aligned(headings, rows)
     if widest(full_table) <= width:
         return full_table
-    columns = [column for column in range(len(headings)) if column != droppable]
-    headings, rows = [headings[column] for column in columns], [[row[column] for column in columns] for row in rows]
+    kept_columns = [column for column in range(len(headings)) if column != droppable]
+    headings, rows = (
+        [headings[column] for column in kept_columns],
+        [[row[column] for column in kept_columns] for row in rows],
+    )
     without_last = aligned([*headings[:-1], ""], [[*row[:-1], ""] for row in rows]).splitlines()
     last_cells = [headings[-1], *(row[-1] for row in rows)]
-    start = max(map(len, without_last)) + 2
-    if start + len(headings[-1]) <= width and max(map(len, last_cells)) + 4 <= width:
+    last_column = max(map(len, without_last)) + 2
+    if last_column + len(headings[-1]) <= width and max(map(len, last_cells)) + 4 <= width:
         same_line, next_line = "{0:{1}}{2}", "{0}\n    {2}"
-        joined = (
-            (same_line if start + len(last_cell) <= width else next_line).format(line, start, last_cell)
+        joined_lines = (
+            (same_line if last_column + len(last_cell) <= width else next_line).format(line, last_column, last_cell)
             for line, last_cell in zip(without_last, last_cells, strict=True)
         )
-        return "\n".join(line.rstrip() for line in joined)
+        return "\n".join(line.rstrip() for line in joined_lines)
     lines = [headings[0]]
     for row in rows:
         pairs = [f"{heading} {cell}".strip() for heading, cell in zip(headings[1:], row[1:], strict=True) if cell]

@@ -33,7 +33,7 @@ VERDICTS = {
     "effect": "The model lacks {causes}.",
     "unknown": "A gap remains that no effect of the library explains.",
 }
-FAR_OFF = {  # starts of the verdict where a replay misses the data by far
+FAR_OFF = {  # beginnings of the verdict if a replay is far from the data
     "none": "Nothing in these runs shows what the model lacks, but a replay of",
     "calibration": "Other parameters explain what these runs tell of the model, but a replay of",
 }
@@ -42,15 +42,15 @@ Channel = Where | Shrinkage
 
 def verdict_sentence(answer: DiagnosisResult) -> str:
     """Return the verdict as one sentence that names the causes: faults of the set-up, then missing effects."""
-    faults, lacking = claimed_faults(answer), claimed_effects(answer)
-    farthest = next((line for line in largest_first(answer.shrinkage) if line.floor_rms > 0.0), None)
+    faults, missing_effects = claimed_faults(answer), claimed_effects(answer)
+    farthest = next((channel for channel in largest_first(answer.shrinkage) if channel.floor_rms > 0.0), None)
     if answer.verdict in FAR_OFF and farthest and farthest.calibrated_rms > MOST_REPLAY_MISS * farthest.floor_rms:
         floors = farthest.calibrated_rms / farthest.floor_rms
         return f"{FAR_OFF[answer.verdict]} {channel_label(farthest, answer.shrinkage)} stands {floors:.3g} floors off."
     if answer.verdict != "effect" or not faults:
-        return VERDICTS[answer.verdict].format(causes=enumerated(lacking))
-    lacks = f"; with it mended, the model lacks {enumerated(lacking)}" if lacking else ""
-    return f"The set-up has {enumerated(faults)}{lacks}."
+        return VERDICTS[answer.verdict].format(causes=enumerated(missing_effects))
+    missing_clause = f"; with it mended, the model lacks {enumerated(missing_effects)}" if missing_effects else ""
+    return f"The set-up has {enumerated(faults)}{missing_clause}."
 
 
 def claimed_faults(answer: DiagnosisResult) -> list[str]:
@@ -59,20 +59,20 @@ def claimed_faults(answer: DiagnosisResult) -> list[str]:
 
 
 def claimed_effects(answer: DiagnosisResult) -> list[str]:
-    """Return the effects that are said to act."""
+    """Return the effects, other than faults of the set-up, that are said to act."""
     return claimed_causes([cause for cause in answer.causes if cause.family != "setup"])
 
 
 def claimed_causes(causes: Sequence[Cause]) -> list[str]:
     """Return the causes that are said to act; effects that cannot be distinguished are one entry."""
     names: list[str] = []
-    claimed: set[str] = set()
+    covered_effects: set[str] = set()
     for cause in causes:
-        if cause.probability < NAMED_PROBABILITY or cause.effect in claimed:
+        if cause.probability < NAMED_PROBABILITY or cause.effect in covered_effects:
             continue
-        members = [cause.effect, *cause.indistinguishable_from]
-        claimed.update(members)
-        names.append(cause.effect if len(members) == 1 else f"one of {' / '.join(members)}")
+        alternatives = [cause.effect, *cause.indistinguishable_from]
+        covered_effects.update(alternatives)
+        names.append(cause.effect if len(alternatives) == 1 else f"one of {' / '.join(alternatives)}")
     return names
 
 
@@ -82,14 +82,14 @@ def enumerated(items: Sequence[str]) -> str:
 
 
 def effect_meaning(effect: str) -> str:
-    """Return the one-sentence meaning of an effect or of a fault of the set-up; empty where the name is unknown."""
+    """Return the one-sentence meaning of an effect or of a fault of the set-up; empty if the name is unknown."""
     if effect in effect_names():
         return effect_definition(effect).meaning
     return setup_faults()[effect].meaning if effect in setup_faults() else ""
 
 
 def channel_label(channel: Channel | SimulatorFloor, channels: Sequence[Channel | SimulatorFloor]) -> str:
-    """Return the name of a channel, with its role if `channels` has the same quantity and set-up with another role."""
+    """Return the name of a channel, with its role if `channels` has its quantity and set-up in another role too."""
     roles = {
         candidate.role
         for candidate in channels
@@ -112,26 +112,26 @@ def largest_first(channels: Sequence[Shrinkage]) -> list[Shrinkage]:
 
 def closed_by_calibration(channels: Sequence[Shrinkage]) -> list[Shrinkage]:
     """Return the channels whose gap calibration closes, the largest first."""
-    closed = [
+    closed_channels = [
         channel
         for channel in channels
         if not open_gap(channel) and channel.nominal_rms >= LEAST_GAP_FLOORS * channel.floor_rms
     ]
-    return sorted(closed, key=lambda channel: -channel.nominal_rms / max(channel.floor_rms, 1e-300))
+    return sorted(closed_channels, key=lambda channel: -channel.nominal_rms / max(channel.floor_rms, 1e-300))
 
 
 def closes_nothing(answer: DiagnosisResult) -> bool:
     """Return whether effects are claimed although no gap of held-out runs shrinks with them by more than chance."""
-    shrinks = any(channel.closed_low is not None and channel.closed_low > 0.0 for channel in answer.shrinkage)
-    return bool(claimed_effects(answer)) and bool(answer.shrinkage) and not shrinks
+    some_gap_shrinks = any(channel.closed_low is not None and channel.closed_low > 0.0 for channel in answer.shrinkage)
+    return bool(claimed_effects(answer)) and bool(answer.shrinkage) and not some_gap_shrinks
 
 
 def closed_count_text(channels: Sequence[Shrinkage]) -> str:
     """Return a text on the number of channels without a gap, and how many of these calibration has closed."""
-    at_floor = sum(not open_gap(channel) for channel in channels)
-    by_calibration = len(closed_by_calibration(channels))
-    suffix = f", {by_calibration} of them by calibration" if by_calibration else ""
-    return f"{at_floor} of {len(channels)} channels are within 1.1 times their floor{suffix}"
+    floor_count = sum(not open_gap(channel) for channel in channels)
+    calibrated_count = len(closed_by_calibration(channels))
+    suffix = f", {calibrated_count} of them by calibration" if calibrated_count else ""
+    return f"{floor_count} of {len(channels)} channels are within 1.1 times their floor{suffix}"
 
 
 def three_digits(value: float) -> str:
@@ -148,10 +148,10 @@ def three_digits(value: float) -> str:
 def with_std(value: float, std: float, units: str = "") -> str:
     """Return a text such as `0.0288600 ± 0.0000080 N*m`; a value without an uncertainty stands alone."""
     if not math.isfinite(std) or std <= 0.0:
-        shown = f"{value:.4g}" if math.isfinite(value) else "not known"
+        value_text = f"{value:.4g}" if math.isfinite(value) else "not known"
     else:
-        shown = f"{number(value, std)} ± {number(std, std)}"
-    return f"{shown} {bare_units(units)}".rstrip()
+        value_text = f"{number(value, std)} ± {number(std, std)}"
+    return f"{value_text} {bare_units(units)}".rstrip()
 
 
 def bare_units(units: str) -> str:
@@ -214,9 +214,9 @@ def multiple_of_floor(channel: Channel) -> str:
     return f"{three_digits(channel.calibrated_rms / channel.floor_rms)} x" if channel.floor_rms > 0.0 else "no floor"
 
 
-def after_calibration(channel: Channel, floor: str) -> str:
-    """Return a text with the calibrated gap as a multiple of the channel's floor, which is called `floor`."""
-    return f"{multiple_of_floor(channel)} its {floor} after calibration" if channel.floor_rms > 0.0 else "no floor"
+def after_calibration(channel: Channel, floor_name: str) -> str:
+    """Return a text with the calibrated gap as a multiple of the channel's floor, which is called `floor_name`."""
+    return f"{multiple_of_floor(channel)} its {floor_name} after calibration" if channel.floor_rms > 0.0 else "no floor"
 
 
 def region_text(region: Region | None, share: float) -> str:
@@ -226,32 +226,32 @@ def region_text(region: Region | None, share: float) -> str:
     if region.variable == "direction":
         direction = "forward" if region.low >= 0.0 else "backward" if region.high <= 0.0 else "of both signs"
         return f"direction {direction}, {percent_text(share)}"
-    span = f"{three_digits(region.low)} to {three_digits(region.high)} {bare_units(region.units)}".rstrip()
-    folded = " within a turn" if region.within_turn else ""
-    return f"{region.variable}{folded} {span}, {percent_text(share)}"
+    range_text = f"{three_digits(region.low)} to {three_digits(region.high)} {bare_units(region.units)}".rstrip()
+    turn_text = " within a turn" if region.within_turn else ""
+    return f"{region.variable}{turn_text} {range_text}, {percent_text(share)}"
 
 
 def variable_words(picture: Picture) -> str:
     """Return the name of the variable of a picture; for a folded angle, with the number of periods in a turn."""
     if picture.periods is not None:
-        several = f"one of {picture.periods:.4g} periods of " if picture.periods > 1.0 else ""
-        return f"angle within {several}a turn"
+        period_text = f"one of {picture.periods:.4g} periods of " if picture.periods > 1.0 else ""
+        return f"angle within {period_text}a turn"
     return VARIABLES[picture.variable].label if picture.variable in VARIABLES else picture.variable
 
 
 def residual_words(picture: Picture) -> str:
     """Return the name of the residual that a picture shows over its variable."""
-    sign = f" x sign of {VARIABLES[picture.along].label}" if picture.along in VARIABLES else ""
-    return f"{picture.quantity}, {picture.mechanical}: residual{sign}"
+    sign_text = f" x sign of {VARIABLES[picture.along].label}" if picture.along in VARIABLES else ""
+    return f"{picture.quantity}, {picture.mechanical}: residual{sign_text}"
 
 
 def picture_words(picture: Picture) -> str:
     """Return a text on the RMS of a picture before and after, and the number of bins whose mean differs from zero."""
     units, bins = bare_units(picture.units), len(picture.bins)
-    rms = f"{three_digits(picture.before_rms)} {units} before, {three_digits(picture.after_rms)} {units} after"
-    off_zero = f"off zero in {picture.off_zero_before} bins before, in {picture.off_zero_after} after"
-    alone = "; before is the effect left out, all else as fitted with it" if picture.refitted is False else ""
-    return f"{rms} (RMS of {bins} means); {off_zero}{alone}"
+    rms_text = f"{three_digits(picture.before_rms)} {units} before, {three_digits(picture.after_rms)} {units} after"
+    bins_text = f"off zero in {picture.off_zero_before} bins before, in {picture.off_zero_after} after"
+    fit_note = "; before is the effect left out, all else as fitted with it" if picture.refitted is False else ""
+    return f"{rms_text} (RMS of {bins} means); {bins_text}{fit_note}"
 
 
 def rest_channel(residual: Rest) -> str:
@@ -265,17 +265,20 @@ def rest_words(residual: Rest) -> str:
         return "held-out runs leave no gap beyond noise there"
     # the free function of an angle is periodic in a turn
     labels = {name: variable.label for name, variable in VARIABLES.items()} | {"angle": "angle within a turn"}
-    state, share = [labels[name] for name in residual.depends_on if name != TIME], percent_text(residual.closable)
-    repeats = None if residual.repeats_Hz is None else f"repeats in time, {residual.repeats_Hz:.4g} times a second"
-    if state:
-        suffix = f"; what that leaves {repeats or 'changes slowly with time'}" if TIME in residual.depends_on else ""
-        return f"it follows {enumerated(state)}: a free function closes {share} of the gap on held-out runs{suffix}"
-    closes = f"a free function of the logged state closes {share} of the gap on held-out runs"
-    if repeats:
-        return f"it {repeats}, whatever the state is; {closes}"
+    variables, share = (
+        [labels[name] for name in residual.depends_on if name != TIME],
+        percent_text(residual.closable),
+    )
+    repetition = None if residual.repeats_Hz is None else f"repeats in time, {residual.repeats_Hz:.4g} times a second"
+    if variables:
+        suffix = f"; what that leaves {repetition or 'changes slowly with time'}" if TIME in residual.depends_on else ""
+        return f"it follows {enumerated(variables)}: a free function closes {share} of the gap on held-out runs{suffix}"
+    closable_text = f"a free function of the logged state closes {share} of the gap on held-out runs"
+    if repetition:
+        return f"it {repetition}, whatever the state is; {closable_text}"
     if TIME in residual.depends_on:
-        return f"it changes slowly with time, each stretch of a run like its neighbours; {closes}"
-    return f"it follows nothing that is logged, nor changes slowly with time; {closes}"
+        return f"it changes slowly with time, each stretch of a run like its neighbours; {closable_text}"
+    return f"it follows nothing that is logged, nor changes slowly with time; {closable_text}"
 
 
 def refusal_words(near: Near) -> str:

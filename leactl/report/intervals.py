@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from leactl.report.chart import TICKS, Key, SvgPath, Tick, across, axis, percent, tick_text
+from leactl.report.chart import MOST_TICKS, Key, SvgPath, Tick, across, axis, percent, tick_text
 from leactl.report.plot import PlotAxis
 
-STRIP_HEIGHT = 20.0  # height of the drawing of a row in its units; the `viewBox` of the template has it too
+STRIP_HEIGHT = 20.0  # of the drawing of a row, in its units; the template has the same in its `viewBox`
 
 
 @dataclass(frozen=True)
@@ -45,36 +45,43 @@ class IntervalChart(NamedTuple):
 
 def intervals(rows: Sequence[Interval], x_label: str) -> IntervalChart:
     """Return the rows below each other over one axis with ticks and a legend."""
-    paper_values = [paper_value(row.paper) for row in rows]
+    paper_figures = [paper_value(row.paper) for row in rows]
     x = axis(
-        [np.array([row.value, row.low, row.high, paper]) for row, paper in zip(rows, paper_values, strict=True)],
-        TICKS[0],
+        [
+            np.array([row.value, row.low, row.high, paper_figure])
+            for row, paper_figure in zip(rows, paper_figures, strict=True)
+        ],
+        MOST_TICKS[0],
     )
-    ticks = {across(x, value): tick_text(value, text) for value, text in x.ticks.items()}
-    keys = [("line", "95 % interval")] + ([("paper", "LEA in the paper")] if np.isfinite(paper_values).any() else [])
-    strips = [strip(row, paper, x, list(ticks)) for row, paper in zip(rows, paper_values, strict=True)]
-    return IntervalChart(keys, strips, [(percent(position), text) for position, text in ticks.items()], x_label)
+    tick_texts = {across(x, value): tick_text(value, text) for value, text in x.ticks.items()}
+    keys = [("line", "95 % interval")] + ([("paper", "LEA in the paper")] if np.isfinite(paper_figures).any() else [])
+    strips = [
+        strip(row, paper_figure, x, list(tick_texts)) for row, paper_figure in zip(rows, paper_figures, strict=True)
+    ]
+    return IntervalChart(keys, strips, [(percent(position), text) for position, text in tick_texts.items()], x_label)
 
 
-def strip(row: Interval, paper: float, x: PlotAxis, ticks: Sequence[float]) -> Strip:
+def strip(row: Interval, paper_figure: float, x: PlotAxis, tick_positions: Sequence[float]) -> Strip:
     """Return the drawing of one row.
 
     Parameters
     ----------
-    paper : value of the paper; NaN where it has none.
-    ticks : positions of the ticks in the drawing.
+    paper_figure : value of the paper; NaN if it has none.
+    tick_positions : x coordinates of the ticks in the drawing.
     """
-    middle = STRIP_HEIGHT / 2.0
-    paths = [SvgPath("".join(f"M{position} 0V{STRIP_HEIGHT:g}" for position in ticks), "grid")]
-    if math.isfinite(paper):
-        paths.append(SvgPath(f"M{across(x, paper)} 0V{STRIP_HEIGHT:g}", "curve paper"))
+    middle_height = STRIP_HEIGHT / 2.0
+    paths = [SvgPath("".join(f"M{position} 0V{STRIP_HEIGHT:g}" for position in tick_positions), "grid")]
+    if math.isfinite(paper_figure):
+        paths.append(SvgPath(f"M{across(x, paper_figure)} 0V{STRIP_HEIGHT:g}", "curve paper"))
     if math.isfinite(row.low) and math.isfinite(row.high):
-        whisker = f"M{across(x, row.low)} {middle:g}H{across(x, row.high)}"
+        whisker = f"M{across(x, row.low)} {middle_height:g}H{across(x, row.high)}"
         paths.append(SvgPath(whisker, f"curve line {row.style}"))
     if math.isfinite(row.value):
-        paths.append(SvgPath(f"M{across(x, row.value)} {middle:g}h0", f"marks {row.style}"))
-    reading = f"{row.value:.6g}, 95 % from {row.low:.6g} to {row.high:.6g}" if math.isfinite(row.value) else "not known"
-    return Strip(row.label, f"{row.label}: {reading}", paths)
+        paths.append(SvgPath(f"M{across(x, row.value)} {middle_height:g}h0", f"marks {row.style}"))
+    value_text = (
+        f"{row.value:.6g}, 95 % from {row.low:.6g} to {row.high:.6g}" if math.isfinite(row.value) else "not known"
+    )
+    return Strip(row.label, f"{row.label}: {value_text}", paths)
 
 
 def paper_value(text: str) -> float:

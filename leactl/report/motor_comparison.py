@@ -21,7 +21,7 @@ from leactl.report.terminal import TEXT_WIDTH, aligned, wrapped
 from leactl.safety.thermal.guarded_currents import Nominal, nominal
 
 PEAK_DURATION_S = 20.0  # as in the paper
-# inductance over resistance of real actuators is 0.1 to 20 ms; with an inductance in mH it is a thousand times that
+# inductance over resistance of real actuators is 0.1 to 20 ms; an inductance in mH makes it a thousand times longer
 LONGEST_TIME_CONSTANT_S = 0.1
 MOST_CONSTANT_DEVIATION = 0.1  # relative; saturation and current conventions make a few per cent, a wrong unit far more
 
@@ -36,11 +36,11 @@ class OperatingConditions:
 
 @dataclass(frozen=True)
 class ComparedMotor:
-    """A motor file and the currents that the winding can carry; `carried` is None if the file lacks values for them."""
+    """A motor file and the currents that the winding can carry, which are None if the file lacks values for them."""
 
     sheet: MotorSheet
-    carried: Nominal | None
-    lacks: tuple[str, ...]  # missing keys, without which a bench must not move the motor
+    currents: Nominal | None
+    missing_keys: tuple[str, ...]  # without which a bench must not move the motor
     conditions: OperatingConditions
 
 
@@ -51,7 +51,7 @@ class FigureRow:
     name: str
     units: str
     values: tuple[float | str | None, ...]
-    of_frame: bool  # whether it depends on the frame of the winding: not comparable where windings differ
+    depends_on_frame: bool  # of the winding's quantities; it is then not comparable between different windings
 
 
 Figure = tuple[str, str, Callable[[ComparedMotor], float | str | None]]
@@ -66,12 +66,12 @@ def compared_motor(name_or_path: str, conditions: OperatingConditions) -> Compar
     InputError : there is no such motor or file, or the file has a fault.
     """
     sheet, document = load_sheet(name_or_path)
-    motor, lacks = _movable(document)
-    carried = nominal(motor, conditions.ambient, [PEAK_DURATION_S]) if motor is not None else None
-    return ComparedMotor(sheet, carried, lacks, conditions)
+    motor, missing_keys = _motor_and_missing_keys(document)
+    currents = nominal(motor, conditions.ambient, [PEAK_DURATION_S]) if motor is not None else None
+    return ComparedMotor(sheet, currents, missing_keys, conditions)
 
 
-def _movable(document: yamlfile.Document) -> tuple[Motor | None, tuple[str, ...]]:
+def _motor_and_missing_keys(document: yamlfile.Document) -> tuple[Motor | None, tuple[str, ...]]:
     """Return the motor, None if the file is incomplete, and the missing keys."""
     try:
         motor = document.validate(Motor)
@@ -95,7 +95,7 @@ def comparison_json(motors: Sequence[ComparedMotor]) -> dict[str, Any]:
         "ambient_degC": motors[0].conditions.ambient,
         "bus_voltage_V": motors[0].conditions.bus_voltage,
         "rows": [
-            {"name": row.name, "units": row.units, "values": list(row.values), "depends_on_frame": row.of_frame}
+            {"name": row.name, "units": row.units, "values": list(row.values), "depends_on_frame": row.depends_on_frame}
             for row in figure_rows(motors)
         ],
         "notes": comparison_notes(motors),
@@ -105,13 +105,13 @@ def comparison_json(motors: Sequence[ComparedMotor]) -> dict[str, Any]:
 def comparison_text(motors: Sequence[ComparedMotor]) -> str:
     """Return a table with a column for each motor, without figures in the frame of the winding if windings differ."""
     windings_differ = len({motor.sheet.winding for motor in motors}) > 1
-    shown = [
+    table_rows = [
         (f"{row.name} [{row.units}]" if row.units else row.name, *(cell(value) for value in row.values))
         for row in figure_rows(motors)
-        if any(value is not None for value in row.values) and not (windings_differ and row.of_frame)
+        if any(value is not None for value in row.values) and not (windings_differ and row.depends_on_frame)
     ]
-    parts = [aligned(("", *(motor.sheet.name for motor in motors)), shown)]
-    return "\n".join([*parts, *(wrapped("note:", [note], TEXT_WIDTH) for note in comparison_notes(motors))])
+    tables = [aligned(("", *(motor.sheet.name for motor in motors)), table_rows)]
+    return "\n".join([*tables, *(wrapped("note:", [note], TEXT_WIDTH) for note in comparison_notes(motors))])
 
 
 def comparison_notes(motors: Sequence[ComparedMotor]) -> list[str]:
@@ -123,14 +123,14 @@ def comparison_notes(motors: Sequence[ComparedMotor]) -> list[str]:
             " figures between the leads"
         )
     notes += [
-        f"{motor.sheet.name} is not to be moved by its file, which lacks {', '.join(motor.lacks)}"
+        f"{motor.sheet.name} is not to be moved by its file, which lacks {', '.join(motor.missing_keys)}"
         for motor in motors
-        if motor.lacks
+        if motor.missing_keys
     ]
     notes += [
-        f"{motor.sheet.name}: its no-load speed is without friction, for its file lacks {', '.join(lacking)}"
+        f"{motor.sheet.name}: its no-load speed is without friction, for its file lacks {', '.join(missing_fields)}"
         for motor in motors
-        if motor.sheet.back_emf_constant is not None and (lacking := fields_missing_for_friction(motor.sheet))
+        if motor.sheet.back_emf_constant is not None and (missing_fields := fields_missing_for_friction(motor.sheet))
     ]
     for motor in motors:
         notes += [
@@ -162,19 +162,21 @@ def contradictions_to_print(motor: ComparedMotor) -> list[str]:
     """Return a note for each printed figure of the source that does not follow from its other values."""
     sheet, printed = motor.sheet, motor.sheet.printed
     torques = continuous_torques(sheet, motor.conditions.ambient)
-    peak_torque = _carried(lambda currents: currents.peaks[0])
+    torque_at_peak = _torque_at(lambda currents: currents.peaks[0])
     comparisons = [
         ("motor constant", "N*m/sqrt(W)", printed.motor_constant, motor_constant(sheet), 0.05),
         ("rotor inertia", "kg*m^2", printed.rotor_inertia, sheet.rotor_inertia, 0.05),
         ("resistance coefficient", "1/K", printed.resistance_coefficient, sheet.resistance_coefficient, 0.05),
         ("continuous current", "A", sheet.continuous_current, network_current(sheet, motor.conditions.ambient), 0.02),
         ("nominal torque", "N*m", printed.nominal_torque, torques.stated, 0.02),
-        ("peak torque of 20 s", "N*m", printed.peak_torque_20_s, peak_torque(motor), 0.02),
+        ("peak torque of 20 s", "N*m", printed.peak_torque_20_s, torque_at_peak(motor), 0.02),
     ]
     return [
-        f"{quantity} printed as {printed_value:.3g} {units}, {derived:.3g} {units} here"
-        for quantity, units, printed_value, derived, most_deviation in comparisons
-        if printed_value is not None and derived is not None and abs(derived / printed_value - 1.0) > most_deviation
+        f"{quantity} printed as {printed_value:.3g} {units}, {derived_value:.3g} {units} here"
+        for quantity, units, printed_value, derived_value, largest_deviation in comparisons
+        if printed_value is not None
+        and derived_value is not None
+        and abs(derived_value / printed_value - 1.0) > largest_deviation
     ]
 
 
@@ -186,84 +188,97 @@ def cell(value: float | str | None) -> str:
 
 
 def _scaled(value: float | None, factor: float) -> float | None:
+    """Return a value times a factor; None for None."""
     return None if value is None else value * factor
 
 
-def _carried(current: Callable[[Nominal], float]) -> Callable[[ComparedMotor], float | None]:
-    """Return a function that computes the torque [N*m] of a motor at one of the currents that its winding can carry."""
+def _torque_at(current_of: Callable[[Nominal], float]) -> Callable[[ComparedMotor], float | None]:
+    """Return a function that computes a motor's torque [N*m] at one of the currents that its winding can carry."""
 
     def torque(motor: ComparedMotor) -> float | None:
-        amperes = None if motor.carried is None else current(motor.carried)
-        return None if amperes is None or not math.isfinite(amperes) else _scaled(motor.sheet.torque_constant, amperes)
+        motor_current = None if motor.currents is None else current_of(motor.currents)
+        return (
+            None
+            if motor_current is None or not math.isfinite(motor_current)
+            else _scaled(motor.sheet.torque_constant, motor_current)
+        )
 
     return torque
 
 
-def _torque(name: str) -> Callable[[ComparedMotor], float | None]:
+def _continuous_torque(name: str) -> Callable[[ComparedMotor], float | None]:
+    """Return a function that computes one of the continuous torques or densities of a motor."""
     return lambda motor: getattr(continuous_torques(motor.sheet, motor.conditions.ambient), name)
 
 
-def _loop(
+def _loop_figure(
     loop: Callable[[MotorSheet], LoopFigures], name: str, factor: float
 ) -> Callable[[ComparedMotor], float | None]:
+    """Return a function that gives one figure of a control loop of a motor, times a factor."""
     return lambda motor: _scaled(getattr(loop(motor.sheet), name), factor)
 
 
 def _bandwidth(loop: Callable[[MotorSheet], LoopFigures]) -> Callable[[ComparedMotor], float | str | None]:
-    def shown(motor: ComparedMotor) -> float | str | None:
+    """Return a function that gives the bandwidth of a control loop of a motor [Hz], or a lower bound as text."""
+
+    def bandwidth(motor: ComparedMotor) -> float | str | None:
         figures = loop(motor.sheet)
         return figures.bandwidth if figures.bandwidth_at_least is None else f"> {figures.bandwidth_at_least:g}"
 
-    return shown
+    return bandwidth
 
 
 def _loop_rows(prefix: str, loop: Callable[[MotorSheet], LoopFigures]) -> list[Figure]:
+    """Return the figures of one control loop; `prefix` begins their names."""
     return [
-        (f"{prefix}_rise_time", "ms", _loop(loop, "rise_time", 1e3)),
-        (f"{prefix}_overshoot", "%", _loop(loop, "overshoot_percent", 1.0)),
-        (f"{prefix}_settling_time", "ms", _loop(loop, "settling_time", 1e3)),
-        (f"{prefix}_error", "%", _loop(loop, "error_percent", 1.0)),
+        (f"{prefix}_rise_time", "ms", _loop_figure(loop, "rise_time", 1e3)),
+        (f"{prefix}_overshoot", "%", _loop_figure(loop, "overshoot_percent", 1.0)),
+        (f"{prefix}_settling_time", "ms", _loop_figure(loop, "settling_time", 1e3)),
+        (f"{prefix}_error", "%", _loop_figure(loop, "error_percent", 1.0)),
         (f"{prefix}_bandwidth", "Hz", _bandwidth(loop)),
     ]
 
 
-def _of_sheet(name: str, factor: float = 1.0) -> Callable[[ComparedMotor], float | None]:
+def _sheet_value(name: str, factor: float = 1.0) -> Callable[[ComparedMotor], float | None]:
+    """Return a function that gives a value of the motor file, times a factor."""
     return lambda motor: _scaled(getattr(motor.sheet, name), factor)
 
 
-def _of_body(name: str, factor: float) -> Callable[[ComparedMotor], float | None]:
+def _body_value(name: str, factor: float) -> Callable[[ComparedMotor], float | None]:
+    """Return a function that gives a value of the `body:` block of the motor file, times a factor."""
     return lambda motor: _scaled(getattr(motor.sheet.body, name), factor)
 
 
-def _of_network(name: str) -> Callable[[ComparedMotor], float | None]:
+def _network_value(name: str) -> Callable[[ComparedMotor], float | None]:
+    """Return a function that gives a value of the thermal network of the motor file."""
     return lambda motor: None if motor.sheet.thermal is None else getattr(motor.sheet.thermal, name)
 
 
 FIGURES: list[Figure] = [
     ("winding", "", lambda motor: motor.sheet.winding),
-    ("pole_pairs", "", _of_sheet("pole_pairs")),
-    ("mass", "g", _of_body("mass", 1e3)),
-    ("outer_diameter", "mm", _of_body("outer_diameter", 1e3)),
-    ("inner_diameter", "mm", _of_body("inner_diameter", 1e3)),
-    ("length", "mm", _of_body("length", 1e3)),
-    ("encoder_lines", "", _of_sheet("encoder_lines")),
-    ("rotor_inertia", "g*m^2", _of_sheet("rotor_inertia", 1e3)),
-    ("viscous_damping", "mN*m*s/rad", _of_sheet("viscous_damping", 1e3)),
-    ("coulomb_friction", "mN*m", _of_sheet("coulomb_friction", 1e3)),
-    ("torque_constant", "N*m/A", _of_sheet("torque_constant")),
-    ("phase_resistance", "mohm", _of_sheet("phase_resistance", 1e3)),
-    ("phase_inductance", "uH", _of_sheet("phase_inductance", 1e6)),
+    ("pole_pairs", "", _sheet_value("pole_pairs")),
+    ("mass", "g", _body_value("mass", 1e3)),
+    ("outer_diameter", "mm", _body_value("outer_diameter", 1e3)),
+    ("inner_diameter", "mm", _body_value("inner_diameter", 1e3)),
+    ("length", "mm", _body_value("length", 1e3)),
+    ("encoder_lines", "", _sheet_value("encoder_lines")),
+    ("rotor_inertia", "g*m^2", _sheet_value("rotor_inertia", 1e3)),
+    ("viscous_damping", "mN*m*s/rad", _sheet_value("viscous_damping", 1e3)),
+    ("coulomb_friction", "mN*m", _sheet_value("coulomb_friction", 1e3)),
+    ("torque_constant", "N*m/A", _sheet_value("torque_constant")),
+    ("phase_resistance", "mohm", _sheet_value("phase_resistance", 1e3)),
+    ("phase_inductance", "uH", _sheet_value("phase_inductance", 1e6)),
     ("line_to_line_resistance", "mohm", lambda motor: _scaled(electrical(motor.sheet).line_to_line().resistance, 1e3)),
     ("line_to_line_inductance", "uH", lambda motor: _scaled(electrical(motor.sheet).line_to_line().inductance, 1e6)),
     ("torque_per_line_ampere", "N*m/A", lambda motor: electrical(motor.sheet).per_line_amplitude()),
     ("motor_constant", "N*m/sqrt(W)", lambda motor: motor_constant(motor.sheet)),
     ("no_load_speed", "rad/s", lambda motor: no_load_speed(motor.sheet, motor.conditions.bus_voltage)),
-    ("winding_ambient_resistance", "K/W", _of_network("winding_ambient_resistance")),
-    ("winding_housing_resistance", "K/W", _of_network("winding_housing_resistance")),
-    ("housing_ambient_resistance", "K/W", _of_network("housing_ambient_resistance")),
-    ("winding_capacitance", "J/K", _of_network("winding_capacitance")),
-    ("housing_capacitance", "J/K", _of_network("housing_capacitance")),
-    ("continuous_current", "A", _of_sheet("continuous_current")),
+    ("winding_ambient_resistance", "K/W", _network_value("winding_ambient_resistance")),
+    ("winding_housing_resistance", "K/W", _network_value("winding_housing_resistance")),
+    ("housing_ambient_resistance", "K/W", _network_value("housing_ambient_resistance")),
+    ("winding_capacitance", "J/K", _network_value("winding_capacitance")),
+    ("housing_capacitance", "J/K", _network_value("housing_capacitance")),
+    ("continuous_current", "A", _sheet_value("continuous_current")),
     ("network_current", "A", lambda motor: network_current(motor.sheet, motor.conditions.ambient)),
     ("continuous_torque", "N*m", lambda motor: continuous_torques(motor.sheet, motor.conditions.ambient).stated),
     (
@@ -277,9 +292,9 @@ FIGURES: list[Figure] = [
         "N*m/kg",
         lambda motor: continuous_torques(motor.sheet, motor.conditions.ambient).network_density,
     ),
-    ("standing_torque", "N*m", _carried(lambda currents: currents.standing)),
-    ("peak_torque_20_s", "N*m", _carried(lambda currents: currents.peaks[0])),
-    ("standing_peak_torque_20_s", "N*m", _carried(lambda currents: currents.standing_peaks[0])),
+    ("standing_torque", "N*m", _torque_at(lambda currents: currents.standing)),
+    ("peak_torque_20_s", "N*m", _torque_at(lambda currents: currents.peaks[0])),
+    ("standing_peak_torque_20_s", "N*m", _torque_at(lambda currents: currents.standing_peaks[0])),
     *_loop_rows("current", lambda sheet: sheet.control.current),
     *_loop_rows("position", lambda sheet: sheet.control.position),
 ]

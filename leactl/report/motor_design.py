@@ -27,12 +27,12 @@ ENERGIES = {
 
 def scaled_text(motor: MotorSheet, figures: Sequence[ScaledFigure], radius: float) -> str:
     """Return the figures of a motor that was scaled to another air-gap radius [m], beside the original's."""
-    table = [
+    rows = [
         (f"{figure.name} [{figure.units}]", cell(figure.known), cell(figure.scaled), f"r^{figure.power:g}")
         for figure in figures
         if figure.known is not None
     ]
-    lines = [aligned(("", motor.name, f"{1e3 * radius:g} mm", "goes by"), table)]
+    lines = [aligned(("", motor.name, f"{1e3 * radius:g} mm", "goes by"), rows)]
     assumption = f"{motor.winding} winding throughout; thickness, length, materials and turns a slot as they are"
     lines.append(wrapped(assumption, [], TEXT_WIDTH))
     return "\n".join(lines)
@@ -41,7 +41,7 @@ def scaled_text(motor: MotorSheet, figures: Sequence[ScaledFigure], radius: floa
 def energy_text(cycle: Cycle, motors: Sequence[MotorSheet], strides: Sequence[Stride], notes: Sequence[str]) -> str:
     """Return one cycle's energies [J], temperature and peaks, a column for each motor."""
     rows = [("ratio", *(f"{stride.ratio:.4g}" for stride in strides))]
-    rows += [(f"{words} [J]", *(cell(getattr(stride, name)) for stride in strides)) for name, words in ENERGIES.items()]
+    rows += [(f"{label} [J]", *(cell(getattr(stride, name)) for stride in strides)) for name, label in ENERGIES.items()]
     rows.append(("winding in the end [degC]", *(cell(stride.winding_temperature) for stride in strides)))
     rows.append(("largest line current [A]", *(cell(stride.peak_line_current) for stride in strides)))
     rows.append(
@@ -51,17 +51,17 @@ def energy_text(cycle: Cycle, motors: Sequence[MotorSheet], strides: Sequence[St
         )
     )
     rows.append(("feasible", *("yes" if stride.feasible else "no" for stride in strides)))
-    head = (
+    title = (
         f"{cycle.name}: {cycle.period:g} s, angle over {_degrees(cycle):.3g} deg, torque up to"
         f" {abs(cycle.torque).max():.3g} N*m"
     )
-    beyond = [
-        f"{motor.name}: {words}"
+    ceiling_notes = [
+        f"{motor.name}: {label}"
         for motor, stride in zip(motors, strides, strict=True)
-        for words in ceilings_passed(stride)
+        for label in ceilings_passed(stride)
     ]
     table = aligned(("", *(motor.name for motor in motors)), rows)
-    return "\n".join([head, table, *(wrapped("note:", [note], TEXT_WIDTH) for note in [*beyond, *notes])])
+    return "\n".join([title, table, *(wrapped("note:", [note], TEXT_WIDTH) for note in [*ceiling_notes, *notes])])
 
 
 def ceilings_passed(stride: Stride) -> list[str]:
@@ -97,7 +97,7 @@ def stride_json(motor: MotorSheet, stride: Stride, notes: Sequence[str]) -> dict
 
 
 def preload_text(
-    bearings: Bearings, readings: Sequence[tuple[Reading, list[Preload], float]], misses: dict[str, float]
+    bearings: Bearings, readings: Sequence[tuple[Reading, list[Preload], float]], deviations: dict[str, float]
 ) -> str:
     """Return the preloads at some gaps under each reading of the source, and how far each reading contradicts it."""
     lines = [
@@ -116,7 +116,7 @@ def preload_text(
         ]
         lines.append(
             f"  at the told gap {reading.at_told_gap:.0f} N, at the told deflection"
-            f" {reading.at_static_deflection:.0f} N: {misses[reading.name]:+.0%} off what is told"
+            f" {reading.at_static_deflection:.0f} N: {deviations[reading.name]:+.0%} off what is told"
         )
         rows = [
             (
@@ -135,7 +135,7 @@ def preload_text(
 
 
 def preload_json(
-    bearings: Bearings, readings: Sequence[tuple[Reading, list[Preload], float]], misses: dict[str, float]
+    bearings: Bearings, readings: Sequence[tuple[Reading, list[Preload], float]], deviations: dict[str, float]
 ) -> dict[str, Any]:
     """Return the preloads under each reading as JSON takes them."""
     return {
@@ -145,7 +145,7 @@ def preload_json(
                 "name": reading.name,
                 "stiffness_N_per_m": reading.stiffness,
                 "rest_gap_mm": 1e3 * reading.rest_gap,
-                "off_what_is_told": misses[reading.name],
+                "off_what_is_told": deviations[reading.name],
                 "gap_at_static_load_mm": 1e3 * static_gap,
                 "gaps": [
                     {
@@ -165,8 +165,10 @@ def preload_json(
 
 
 def _finite(value: float | None) -> float | None:
+    """Return a value; None if it is not finite, which JSON cannot hold."""
     return value if value is not None and math.isfinite(value) else None
 
 
 def _degrees(cycle: Cycle) -> float:
+    """Return the range of the joint's angle in a cycle [deg]."""
     return math.degrees(float(cycle.angle.max() - cycle.angle.min()))

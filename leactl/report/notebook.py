@@ -15,7 +15,7 @@ from leactl.runfile.read.reader import Channel, Run
 from leactl.runfile.read.traces import trace_of
 
 HEIGHT_PX = 560  # of the frame; a longer page scrolls in it
-BINS = 1000  # of the curve of a channel: more than a cell has pixels
+MOST_BINS = 1000  # of a channel's curve: more than the pixels of a cell
 
 
 def framed(page: str) -> str:
@@ -72,12 +72,12 @@ def channel_page(channel: Channel) -> str:
     about = ", ".join(filter(None, facts))
     if not len(channel):
         return _page(title, about)
-    trace = trace_of("", channel, float(channel.time[0]), float(channel.time[-1]), BINS)
+    trace = trace_of("", channel, float(channel.time[0]), float(channel.time[-1]), MOST_BINS)
     style = "setpoint" if channel.quantity.endswith("_reference") else "reading"
     y_label = f"{plain(channel.quantity)} [{channel.units}]"
-    drawn = chart([LineMarks("", style, trace.time, trace.values)], "time [s]", pretty(y_label))
+    drawn_chart = chart([LineMarks("", style, trace.time, trace.values)], "time [s]", pretty(y_label))
     caption = f"the range of about {trace.samples_per_bin:.0f} samples at each point"
-    return _page(title, about, figures=[CaptionedChart(caption if trace.samples_per_bin > 1 else "", drawn)])
+    return _page(title, about, figures=[CaptionedChart(caption if trace.samples_per_bin > 1 else "", drawn_chart)])
 
 
 def ending_page(
@@ -97,7 +97,7 @@ def ending_page(
     tables = []
     if acceptance:
         rows = [
-            [_limit_name(row), _number(row["value"]), _unit_text(row["units"]), _yes_or_no(row["met"])]
+            [_limit_name(row), _value_text(row["value"]), _unit_text(row["units"]), _yes_or_no(row["met"])]
             for row in acceptance
         ]
         tables.append(("Limits", ["limit on", "value", "units", "met"], rows))
@@ -114,6 +114,7 @@ def _page(
     figures: Sequence[CaptionedChart] = (),
     notes: Sequence[str] = (),
 ) -> str:
+    """Return a page from the template of a notebook; a table is its title, headings and rows."""
     return render("notebook.html", title=title, about=about, tables=tables, figures=figures, notes=notes)
 
 
@@ -123,7 +124,7 @@ def _limit_name(limit: Mapping[str, Any]) -> str:
     return " ".join(plain(str(name)) for name in names if name)
 
 
-def _number(value: float | None) -> str:
+def _value_text(value: float | None) -> str:
     return "" if value is None else f"{value:.6g}"
 
 
@@ -131,5 +132,5 @@ def _unit_text(units: str) -> str:
     return "" if units == "1" else pretty(units)
 
 
-def _yes_or_no(holds: bool) -> str:
-    return "yes" if holds else "no"
+def _yes_or_no(value: bool) -> str:
+    return "yes" if value else "no"

@@ -1,4 +1,4 @@
-"""Checks of output files and folders before a computation of minutes, whose results could not be written."""
+"""Checks that output files and folders can be written, before a computation that takes minutes."""
 
 import os
 import tempfile
@@ -9,7 +9,7 @@ from leactl.errors import InputError
 
 
 def check_files(files: Sequence[Path], inputs: Sequence[Path], other_faults: Sequence[str] = ()) -> None:
-    """Check that output files can be written; an existing file may be replaced, but not an input.
+    """Raise if an output file cannot be written; an existing file may be replaced, but not an input.
 
     Parameters
     ----------
@@ -24,28 +24,28 @@ def check_files(files: Sequence[Path], inputs: Sequence[Path], other_faults: Seq
     faults += [f"{path}: is no plain file" for path in files if path.exists() and not path.is_file()]
     faults += [f"{path}: no folder {path.parent}" for path in files if not path.parent.is_dir()]
     faults += [f"{path}: cannot be written: {reason}" for path in files if (reason := write_fault(path.parent))]
-    resolved = [path.resolve() for path in files]
-    twice = {path for path in files if resolved.count(path.resolve()) > 1}
-    faults += [f"{path}: is named for two outputs; give each a file of its own" for path in sorted(twice)]
+    resolved_paths = [path.resolve() for path in files]
+    repeated_files = {path for path in files if resolved_paths.count(path.resolve()) > 1}
+    faults += [f"{path}: is named for two outputs; give each a file of its own" for path in sorted(repeated_files)]
     faults += other_faults
     if faults:
         raise InputError(faults)
 
 
 def check_folder(folder: Path) -> None:
-    """Check that a folder can be made, or exists, and that files can be written to it.
+    """Raise if a folder cannot be made, or if no file can be written to it.
 
     Raises
     ------
     InputError : the folder cannot be made or written to; the line names the part of its path that prevents it.
     """
-    existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(path))
-    if reason := write_fault(existing) if existing.is_dir() else "not a folder":
-        raise InputError(f"{folder}: cannot be made or written to: {existing}: {reason}; choose another --out")
+    nearest_existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(path))
+    if reason := write_fault(nearest_existing) if nearest_existing.is_dir() else "not a folder":
+        raise InputError(f"{folder}: cannot be made or written to: {nearest_existing}: {reason}; choose another --out")
 
 
 def write_fault(folder: Path) -> str:
-    """Return the reason why no file can be written to a folder; empty if one can be, or if there is no such folder.
+    """Return the reason why no file can be written to a folder; empty if a file can be, or if there is no such folder.
 
     A temporary file is written to find out, since the disk may be mounted read-only.
     """
@@ -54,5 +54,5 @@ def write_fault(folder: Path) -> str:
     try:
         with tempfile.TemporaryFile(dir=folder):
             return ""
-    except OSError as fault:
-        return fault.strerror or str(fault)
+    except OSError as error:
+        return error.strerror or str(error)

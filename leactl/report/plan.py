@@ -24,12 +24,12 @@ def plan_lines(plan: "Plan", limits: "Limits | None" = None) -> list[str]:
     for row in plan.timeline():
         times = f"{row.start_s:10.3f} {row.duration_s:9.3f} {row.settle_s:9.3f}"
         lines.append(f"{times}  {row.name:<10}  {row.setpoints}".rstrip())
-    bound = "at most " if plan.adaptive else ""
-    lines.append(f"duration {bound}{duration(plan.duration_s, always_hours=True)} ({plan.duration_s:.3f} s)")
+    bound_prefix = "at most " if plan.adaptive else ""
+    lines.append(f"duration {bound_prefix}{duration(plan.duration_s, always_hours=True)} ({plan.duration_s:.3f} s)")
     for peak in peaks(plan, limits):
         low, high = peak.get("limits") or (-math.inf, math.inf)
-        within = f", limits {low:g} to {high:g} {peak['unit']}" if math.isfinite(high - low) else ""
-        lines.append(f"peak {peak['role']} {peak['quantity']} {peak['value']:g} {peak['unit']}{within}")
+        limits_text = f", limits {low:g} to {high:g} {peak['unit']}" if math.isfinite(high - low) else ""
+        lines.append(f"peak {peak['role']} {peak['quantity']} {peak['value']:g} {peak['unit']}{limits_text}")
     return [*lines, *searches(plan)]
 
 
@@ -59,11 +59,11 @@ def hottest(forecast: "Forecast") -> dict[str, float]:
     return {role: round(value, 2) for role, value in forecast.peaks.items()}
 
 
-def dry_run_body(request: "Request", planned: "DryRun") -> dict[str, Any]:
+def dry_run_body(request: "Request", dry_run: "DryRun") -> dict[str, Any]:
     """Return what a run would do now as JSON takes it: file, peaks, winding temperatures, timeline, warnings."""
     from leactl.runfile.write.run_info import new_run_id
 
-    plan, windings = planned.plan, planned.windings
+    plan, windings = dry_run.plan, dry_run.windings
     return {
         **head(plan),
         "bench": request.bench.name,
@@ -73,7 +73,7 @@ def dry_run_body(request: "Request", planned: "DryRun") -> dict[str, Any]:
         ],
         "actuator": request.actuator,
         "run": str(request.directory / f"{new_run_id(plan.name, datetime.now(UTC))}.h5"),
-        "planned_bytes": round(planned.planned_bytes),
+        "planned_bytes": round(dry_run.planned_bytes),
         "peaks": peaks(plan, request.bench.limits),
         "windings": {
             role: {
@@ -82,26 +82,26 @@ def dry_run_body(request: "Request", planned: "DryRun") -> dict[str, Any]:
                 "hottest_degC": peak,
                 "limit_degC": windings.settings.limit,
             }
-            for role, peak in hottest(planned.forecast).items()
+            for role, peak in hottest(dry_run.forecast).items()
         },
-        "left_on": list(planned.left_on),
+        "left_on": list(dry_run.left_on),
         "tripped": False,
         "held": False,
         "searches": searches(plan),
         "timeline": [row._asdict() for row in plan.timeline()],
-        "one_sensor": list(planned.one_sensor),
-        "warnings": list(planned.warnings),
+        "one_sensor": list(dry_run.one_sensor),
+        "warnings": list(dry_run.warnings),
     }
 
 
-def dry_run_text(request: "Request", planned: "DryRun", body: Mapping[str, Any]) -> str:
+def dry_run_text(request: "Request", dry_run: "DryRun", body: Mapping[str, Any]) -> str:
     """Return what a run would do now as text.
 
     Parameters
     ----------
     body : the document that `--json` prints.
     """
-    lines = plan_lines(planned.plan, request.bench.limits)
+    lines = plan_lines(dry_run.plan, request.bench.limits)
     for role, winding in body["windings"].items():
         peak, limit = winding["hottest_degC"], winding["limit_degC"]
         lines.append(f"winding {role} at most {peak:g} degC, limit {limit:g} degC; {winding['known']}")

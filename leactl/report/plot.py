@@ -1,4 +1,4 @@
-"""Plots in characters: fitted lines as Braille dots, points as marks; in plain ASCII where the terminal needs that."""
+"""Plots in characters: fitted lines as Braille dots, points as marks; or in plain ASCII for terminals that need it."""
 
 import itertools
 import math
@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 from leactl.analysis.estimate import Plot, Series
 
 MARKS = "ox+#%@"
-SEVERAL = "*"  # mark of a cell with points of several series
+SEVERAL_MARK = "*"  # mark of a cell with points of several series
 MARGIN = 0.04  # of the range, kept free at both ends
-TICKS = (6, 8)  # largest number along x and y, approximately
+MOST_TICKS = (6, 8)  # along x and y, approximately
 # bit of the dot in column x and row y of a Braille character, which has 2 x 4 dots (Unicode 3.0, chart U+2800)
 BRAILLE = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 
@@ -32,9 +32,9 @@ class PlotAxis:
             self.ticks = decade_ticks(self.low, self.high, ticks)
             return
         step = round_step((self.high - self.low) / ticks)
-        first, last = math.ceil(self.low / step), math.floor(self.high / step)
-        digits = max(0, -math.floor(math.log10(step) + 1e-9))
-        self.ticks = {k * step: f"{k * step:.{digits}f}" for k in range(first, last + 1)}
+        first_tick, last_tick = math.ceil(self.low / step), math.floor(self.high / step)
+        decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+        self.ticks = {k * step: f"{k * step:.{decimals}f}" for k in range(first_tick, last_tick + 1)}
 
     def share(self, value: float) -> float:
         """Return the position of a value: 0 at the low end of the axis, 1 at the high end; 0 if it has no logarithm."""
@@ -43,21 +43,21 @@ class PlotAxis:
         return (value - self.low) / (self.high - self.low)
 
 
-def decade_ticks(low: float, high: float, most: int) -> dict[float, str]:
-    """Return at most `most` ticks from 10^low to 10^high: 1, 2 and 5, or 1 and 3, or 1 of each decade."""
+def decade_ticks(low: float, high: float, most_ticks: int) -> dict[float, str]:
+    """Return up to `most_ticks` ticks from 10^low to 10^high: 1, 2 and 5, or 1 and 3, or 1 of each decade."""
     powers = range(math.floor(low), math.ceil(high) + 1)
     for mantissas in ((1, 2, 5), (1, 3), (1,)):
         ticks = [factor * 10.0**power for power in powers for factor in mantissas]
-        inside = [value for value in ticks if low <= math.log10(value) <= high]
-        if len(inside) <= most:
+        ticks_in_range = [value for value in ticks if low <= math.log10(value) <= high]
+        if len(ticks_in_range) <= most_ticks:
             break
-    return {value: f"{value:g}" for value in inside[:: math.ceil(len(inside) / most) or 1]}
+    return {value: f"{value:g}" for value in ticks_in_range[:: math.ceil(len(ticks_in_range) / most_ticks) or 1]}
 
 
-def round_step(least: float) -> float:
-    """Return the smallest step that is 1, 2 or 5 times a power of ten and not below `least`."""
-    power = 10.0 ** math.floor(math.log10(least))
-    return next(power * factor for factor in (1, 2, 5, 10) if power * factor >= least * (1 - 1e-9))
+def round_step(least_step: float) -> float:
+    """Return the smallest step that is 1, 2 or 5 times a power of ten and not below `least_step`."""
+    power = 10.0 ** math.floor(math.log10(least_step))
+    return next(power * factor for factor in (1, 2, 5, 10) if power * factor >= least_step * (1 - 1e-9))
 
 
 def draw(plot: Plot, width: int, height: int = 16, ascii_only: bool = False) -> list[str]:
@@ -66,8 +66,8 @@ def draw(plot: Plot, width: int, height: int = 16, ascii_only: bool = False) -> 
     if not drawable:
         return []
     all_points = [point for series in (*drawable, *plot.lines) for point in finite_points(series)]
-    x = PlotAxis([point[0] for point in all_points], TICKS[0], plot.x_log)
-    y = PlotAxis([point[1] for point in all_points], TICKS[1])
+    x = PlotAxis([point[0] for point in all_points], MOST_TICKS[0], plot.x_log)
+    y = PlotAxis([point[1] for point in all_points], MOST_TICKS[1])
     gutter = max(len(text) for text in y.ticks.values())
     columns = max(width - gutter - 2, 10)
     canvas = Canvas(columns, height, x, y, ascii_only)
@@ -76,10 +76,10 @@ def draw(plot: Plot, width: int, height: int = 16, ascii_only: bool = False) -> 
     for mark, series in zip(MARKS, drawable, strict=False):
         canvas.points(mark, list(finite_points(series)))
     legend_entries = [f"{mark} {series.label}" for mark, series in zip(MARKS, drawable, strict=False)]
-    legend_entries += [f"{SEVERAL} several"] if canvas.overlaps else []
-    axis_labels, marks = f"{plot.y_label} over {plot.x_label}:", "   ".join(legend_entries)
-    one_line = f"{axis_labels}  {marks}"
-    legend = [one_line] if len(one_line) <= width else [axis_labels[:width], marks[:width]]
+    legend_entries += [f"{SEVERAL_MARK} several"] if canvas.overlaps else []
+    axis_labels, legend_marks = f"{plot.y_label} over {plot.x_label}:", "   ".join(legend_entries)
+    legend_line = f"{axis_labels}  {legend_marks}"
+    legend = [legend_line] if len(legend_line) <= width else [axis_labels[:width], legend_marks[:width]]
     return [*legend, *rows_with_axis(canvas, gutter), *x_axis_lines(canvas, gutter)]
 
 
@@ -139,11 +139,11 @@ class Canvas:
         return cell_index(1.0 - self.y.share(value), self.rows)
 
     def points(self, mark: str, points: Sequence[tuple[float, float]]) -> None:
-        """Set a mark at each point (x, y); a cell with another mark already gets `SEVERAL`."""
+        """Set a mark at each point (x, y); a cell that has another mark gets `SEVERAL_MARK`."""
         for x, y in points:
             row, column = self.row(y), self.column(x)
             if self._first_marks.setdefault((row, column), mark) != mark:
-                self.overlaps, shown_mark = True, SEVERAL
+                self.overlaps, shown_mark = True, SEVERAL_MARK
             else:
                 shown_mark = mark
             self.cells[row][column] = shown_mark

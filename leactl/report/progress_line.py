@@ -1,4 +1,4 @@
-"""ProgressLine of a long computation on stderr: one line that is rewritten on a terminal, plain lines anywhere else."""
+"""The progress of a long computation on stderr: one line that is rewritten on a terminal, else a line for each step."""
 
 import signal
 import sys
@@ -13,11 +13,11 @@ from leactl.errors import Stopped
 
 
 class ProgressLine:
-    """Shows the steps of a computation as it is called with the name of each, and at the end the total duration.
+    """Shows each step of a computation when it is called with the step's name, and at the end the total duration.
 
     Raises
     ------
-    Stopped : by a call; Ctrl-C was pressed before, and a callback of a library dropped the exception.
+    Stopped : a call after Ctrl-C raises it if a callback of a library has dropped the KeyboardInterrupt.
     """
 
     def __init__(self, console: Console | None = None) -> None:
@@ -35,7 +35,7 @@ class ProgressLine:
 
         Raises
         ------
-        Stopped : Ctrl-C was pressed before, and its exception was dropped.
+        Stopped : Ctrl-C was pressed, and a library has dropped its exception.
         """
         if self._interrupted:
             raise Stopped("stopped")

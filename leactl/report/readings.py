@@ -34,8 +34,9 @@ def readings(run: Run) -> list[ChannelSummary]:
 
 
 def _summary(channel: Channel, run_end: float) -> ChannelSummary:
-    finite = np.isfinite(channel.values)
-    values = channel.values[finite]
+    """Return the summary of a channel's finite values; ages are at `run_end` [s]."""
+    is_finite = np.isfinite(channel.values)
+    values = channel.values[is_finite]
     return ChannelSummary(
         channel.quantity,
         channel.role,
@@ -45,7 +46,7 @@ def _summary(channel: Channel, run_end: float) -> ChannelSummary:
         len(values),
         float(values.mean()) if len(values) else None,
         float(values.std(ddof=1)) if len(values) > 1 else None,
-        run_end - float(channel.time[finite][-1]) if len(values) else None,
+        run_end - float(channel.time[is_finite][-1]) if len(values) else None,
     )
 
 

@@ -11,10 +11,10 @@ from leactl.report.terminal import encodable, encoding_of_stdout, shows_all
 from leactl.runfile.read.reader import Step
 from leactl.runfile.read.traces import ChannelTrace
 
-TICKS = (6, 4)  # largest number along time and value, approximately: a panel has few rows
-ROWS_BESIDE_CANVAS = 5  # that a panel has besides its canvas: title, axis, tick labels, steps, a blank line
-LEAST_HEIGHT, MOST_HEIGHT = 5, 16  # rows of a canvas
-SHADE = ("░", "-")  # of every other step, in Unicode and in ASCII
+MOST_TICKS = (6, 4)  # along time and value, approximately: a panel has few rows
+ROWS_BESIDE_CANVAS = 5  # of a panel: title, axis, tick labels, steps, a blank line
+LEAST_CANVAS_ROWS, MOST_CANVAS_ROWS = 5, 16
+SHADES = ("░", "-")  # characters for every other step, in Unicode and in ASCII
 
 
 def panels_text(
@@ -22,7 +22,7 @@ def panels_text(
 ) -> str:
     """Return panels for stdout that show the time span `span_s` (start and stop [s]); up to three fill the screen."""
     encoding = encoding_of_stdout()
-    height = min(max(screen_rows // max(len(traces), 1) - ROWS_BESIDE_CANVAS, LEAST_HEIGHT), MOST_HEIGHT)
+    height = min(max(screen_rows // max(len(traces), 1) - ROWS_BESIDE_CANVAS, LEAST_CANVAS_ROWS), MOST_CANVAS_ROWS)
     lines = panels(traces, steps, span_s, width, height, not shows_all(encoding))
     return encodable("\n".join(lines) + "\n", encoding)
 
@@ -37,11 +37,11 @@ def panels(
 ) -> list[str]:
     """Return lines of text, none wider than `width`, one panel of `height` rows below the other.
 
-    The panels show the time span `span_s` (start and stop [s]). A channel without a finite sample in it has a line that
-    says so in place of its panel.
+    The panels show the time span `span_s` (start and stop [s]). A channel without a finite sample in that span has a
+    line that says so in place of its panel.
     """
     start, stop = span_s
-    time = PlotAxis([start, stop], TICKS[0])
+    time = PlotAxis([start, stop], MOST_TICKS[0])
     axes = [value_axis(trace) for trace in traces]
     labels = [label for axis in axes if axis for label in axis.ticks.values()]
     gutter = max(map(len, labels), default=0)
@@ -66,27 +66,31 @@ def panels(
 
 def value_axis(trace: ChannelTrace) -> PlotAxis | None:
     """Return the value axis of a trace over its finite values; None without finite values."""
-    finite = trace.values[np.isfinite(trace.values)]
-    return PlotAxis([float(finite.min()), float(finite.max())], TICKS[1]) if len(finite) else None
+    finite_values = trace.values[np.isfinite(trace.values)]
+    return (
+        PlotAxis([float(finite_values.min()), float(finite_values.max())], MOST_TICKS[1])
+        if len(finite_values)
+        else None
+    )
 
 
 def segments(trace: ChannelTrace) -> list[list[tuple[float, float]]]:
     """Return the stretches of a trace between its missing samples, so that no line is drawn across a gap."""
     points = zip(trace.time.tolist(), trace.values.tolist(), strict=True)
     groups = itertools.groupby(points, key=lambda point: bool(np.isfinite(point[1])))
-    stretches = [list(group) for finite, group in groups if finite]
+    stretches = [list(group) for is_finite, group in groups if is_finite]
     return [stretch if len(stretch) > 1 else stretch * 2 for stretch in stretches]  # a lone sample is a dot
 
 
 def step_ruler(steps: Sequence[Step], canvas: Canvas, start: float, stop: float) -> str:
     """Return one line that shades every other step and names those that are wide enough for their name."""
-    cells = [" "] * canvas.columns
+    characters = [" "] * canvas.columns
     for index, step in enumerate(steps):
         if step.stop <= start or step.start >= stop:
             continue
-        left, right = canvas.column(max(step.start, start)), canvas.column(min(step.stop, stop))
-        shade = SHADE[canvas.ascii_only] if index % 2 else " "
-        cells[left:right] = [shade] * (right - left)
-        if len(step.name) < right - left:
-            cells[left : left + len(step.name)] = without_control_characters(step.name)
-    return "".join(cells).rstrip()
+        first_column, end_column = canvas.column(max(step.start, start)), canvas.column(min(step.stop, stop))
+        shade = SHADES[canvas.ascii_only] if index % 2 else " "
+        characters[first_column:end_column] = [shade] * (end_column - first_column)
+        if len(step.name) < end_column - first_column:
+            characters[first_column : first_column + len(step.name)] = without_control_characters(step.name)
+    return "".join(characters).rstrip()

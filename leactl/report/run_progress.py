@@ -24,13 +24,13 @@ from leactl.runner.operators import HOW_TO_ANSWER
 from leactl.runner.progress import Progress
 
 FRAMES_PER_S = 4
-FIRST_LINE_S = 5.0  # until the first line; a shorter run needs none
+FIRST_LINE_S = 5.0  # until the first line; a shorter run has none
 LONGEST_PAUSE_S = 30.0  # between two lines
 PAUSE_DIVISOR = 10  # the next line comes after a tenth of the time so far, so that long runs write few lines
-PATIENCE_S = 1.0  # that a view may take to clear the screen
-LEAST_CELL = 40  # characters that a name and its value need side by side
-WIDEST_CELL = 56  # characters; in wider cells a value is too far from its name
-WIDEST_BAR = 120  # characters
+PATIENCE_S = 1.0  # wait for a view to clear the screen, after which it is left behind
+LEAST_CELL_WIDTH = 40  # characters; a name and its value need so many side by side
+MOST_CELL_WIDTH = 56  # characters; in wider cells a value is too far from its name
+MOST_BAR_WIDTH = 120  # characters
 SHORT_FORMS = {"q_axis_": "", "_reference": " ref", "drive_enabled": "enabled", "_": " "}
 HIDE_CURSOR, SHOW_CURSOR = "\x1b[?25l", "\x1b[?25h"
 TO_THE_TOP, CLEAR_LINE, CLEAR_BELOW = "\x1b[H", "\x1b[K", "\x1b[J"
@@ -58,7 +58,7 @@ def _run_view(
     console: Console,
     ended: threading.Event,
 ) -> None:
-    """Call `show` until the run ends; an error of it becomes `progress.view_fault`."""
+    """Call `show` until the run ends; if it raises an error, set `progress.view_fault`."""
     try:
         show(progress, _separate_console(console), ended.wait)
     except Exception as error:  # noqa: BLE001 (a fault of the view must not end the run)
@@ -81,7 +81,7 @@ def _paint(progress: Progress, console: Console, wait: Callable[[float], bool]) 
     After a resize or a question to the operator the position of the last frame is not known, and the next frame begins
     at the top of the terminal.
     """
-    size, height = _size(console), 0
+    size, frame_height = _size(console), 0
     console.file.write(HIDE_CURSOR)
     try:
         while not wait(1 / FRAMES_PER_S):
@@ -92,17 +92,17 @@ def _paint(progress: Progress, console: Console, wait: Callable[[float], bool]) 
             with console.capture() as capture:
                 for line in lines:
                     console.print(line, end=f"{CLEAR_LINE}\n", soft_wrap=True, highlight=False)
-            back = TO_THE_TOP if position_unknown else _back(height)
-            console.file.write(f"{back}{capture.get().removesuffix(chr(10))}{CLEAR_BELOW}")
+            return_sequence = TO_THE_TOP if position_unknown else _to_frame_start(frame_height)
+            console.file.write(f"{return_sequence}{capture.get().removesuffix(chr(10))}{CLEAR_BELOW}")
             console.file.flush()
-            height = len(lines)
+            frame_height = len(lines)
     finally:
-        console.file.write(f"{_back(height)}{CLEAR_BELOW}{SHOW_CURSOR}")
+        console.file.write(f"{_to_frame_start(frame_height)}{CLEAR_BELOW}{SHOW_CURSOR}")
         console.file.flush()
 
 
-def _back(height: int) -> str:
-    """Return the escape sequence from a frame's last line to the start of its first."""
+def _to_frame_start(height: int) -> str:
+    """Return the escape sequence that moves the cursor from the last line of a frame to the start of its first."""
     return f"\x1b[{height - 1}A\r" if height > 1 else "\r"
 
 
@@ -144,14 +144,20 @@ def draw(progress: Progress, width: int, height: int, encoding: str = "utf-8") -
         messages.append((f"{progress.prompt}  {HOW_TO_ANSWER}", "bold yellow"))
     elif progress.hint:
         messages += [(text, "bold") for text in (progress.pause, progress.hint) if text]
-    foot = [Text(line, style) for text, style in messages for line in textwrap.wrap(_plain(text, encoding), line_width)]
-    foot = foot[-height:]
+    message_lines = [
+        Text(line, style) for text, style in messages for line in textwrap.wrap(_plain(text, encoding), line_width)
+    ]
+    message_lines = message_lines[-height:]
     step = _name_and_value(progress.step or "starting", _progress_text(progress), line_width, encoding)
     title = _name_and_value(progress.title, _time_text(progress), line_width, encoding, "bold")
-    free_rows = height - len(foot)
-    bar = _bar(progress.share, min(line_width, WIDEST_BAR), encoding)
-    head = [title, step, bar] if free_rows > 2 else [step][:free_rows]
-    return [*head, *_table(_values(progress), line_width, free_rows - len(head), encoding), *foot]
+    free_height = height - len(message_lines)
+    bar = _bar(progress.share, min(line_width, MOST_BAR_WIDTH), encoding)
+    head_lines = [title, step, bar] if free_height > 2 else [step][:free_height]
+    return [
+        *head_lines,
+        *_table(_values(progress), line_width, free_height - len(head_lines), encoding),
+        *message_lines,
+    ]
 
 
 def _progress_text(progress: Progress) -> str:
@@ -167,9 +173,9 @@ def _time_text(progress: Progress) -> str:
 
 def _bar(share: float, width: int, encoding: str) -> Text:
     """Return a bar whose done part has another character as well as another colour, since colours may be off."""
-    done, undone = "━─" if shows_all(encoding) else "#-"
-    filled = round(share * width)
-    return Text.assemble((done * filled, "green"), (undone * (width - filled), "dim"))
+    done_character, undone_character = "━─" if shows_all(encoding) else "#-"
+    done_width = round(share * width)
+    return Text.assemble((done_character * done_width, "green"), (undone_character * (width - done_width), "dim"))
 
 
 def _name_and_value(name: str, value: str, width: int, encoding: str, style: str = "") -> Text:
@@ -190,16 +196,16 @@ def _plain(text: str, encoding: str) -> str:
 
 
 def _table(cells: Sequence[tuple[str, str]], width: int, height: int, encoding: str) -> list[Text]:
-    """Return names and values in as many columns as fit; the last line gives the number of values without room."""
-    columns = max(1, (width + 1) // LEAST_CELL)
-    cell_width = min(WIDEST_CELL, (width - 2 * (columns - 1)) // columns)
+    """Return names and values in as many columns as fit; the last line counts the values for which there is no room."""
+    columns = max(1, (width + 1) // LEAST_CELL_WIDTH)
+    cell_width = min(MOST_CELL_WIDTH, (width - 2 * (columns - 1)) // columns)
     rows = -(-len(cells) // columns)
     if rows > height:
         if height < 1:
             return []
-        shown = (height - 1) * columns
-        remark = Text(_plain(f"{len(cells) - shown} more values in a higher window", encoding)[:width], "dim")
-        return [*_table(cells[:shown], width, height - 1, encoding), remark]
+        shown_count = (height - 1) * columns
+        remark = Text(_plain(f"{len(cells) - shown_count} more values in a higher window", encoding)[:width], "dim")
+        return [*_table(cells[:shown_count], width, height - 1, encoding), remark]
     lines = []
     for row in range(rows):
         line = [_name_and_value(name, value, cell_width, encoding, "dim") for name, value in cells[row::rows]]
@@ -213,11 +219,11 @@ def _values(progress: Progress) -> list[tuple[str, str]]:
     for stream, channels in progress.streams.items():
         cells += _cells(channels, progress.values if stream == "loop" else progress.device_values.get(stream, ()))
     estimates, bounds = progress.windings
-    to_limit_s = progress.time_to_limit()
+    seconds_to_limit = progress.time_to_limit()
     for role, estimate in estimates.items():
         cells.append((f"{role} winding", f"{estimate:.0f}, at most {bounds[role]:.0f} degC"))
-        if math.isfinite(to_limit_s.get(role, math.inf)):
-            cells.append((f"{role} winding at its limit in", duration(to_limit_s[role])))
+        if math.isfinite(seconds_to_limit.get(role, math.inf)):
+            cells.append((f"{role} winding at its limit in", duration(seconds_to_limit[role])))
     return cells
 
 
@@ -228,13 +234,13 @@ def _cells(channels: Sequence[ChannelSpec], values: Sequence[float]) -> list[tup
         value = values[index] if index < len(values) else math.nan
         if channel.quantity.endswith("_reference") and math.isnan(value):
             continue
-        shown = f"{value:g}" if channel.unit == "1" else f"{value:.3f} {channel.unit}"
-        cells.append((f"{channel.role} {_shortened(channel.quantity, SHORT_FORMS)}", shown))
+        value_text = f"{value:g}" if channel.unit == "1" else f"{value:.3f} {channel.unit}"
+        cells.append((f"{channel.role} {_shortened(channel.quantity, SHORT_FORMS)}", value_text))
     return cells
 
 
 def _shortened(text: str, short_forms: Mapping[str, str]) -> str:
-    """Return a text with the short form of each word."""
-    for long, short in short_forms.items():
-        text = text.replace(long, short)
+    """Return a text with each of the words replaced by its short form."""
+    for word, short_form in short_forms.items():
+        text = text.replace(word, short_form)
     return text

@@ -1,4 +1,4 @@
-"""Rows of a run as lines of text, a column for each channel."""
+"""Rows of a run as lines of text, with a column for each channel."""
 
 from collections.abc import Iterator
 from typing import Final, NamedTuple
@@ -10,24 +10,26 @@ class Precision(NamedTuple):
     """Digits of the numbers in a row, and widths of its columns in characters."""
 
     decimals: int  # of the time
-    digits: int  # significant ones, of a value
+    digits: int  # significant digits of a value
     time_width: int
-    least_width: int  # of a value's column: sign, point, digits, an exponent such as e-05, and a space before them
+    least_width: int  # of a value's column: a space, sign, digits, point, and an exponent such as e-05
 
 
-FULL: Final = Precision(decimals=6, digits=6, time_width=12, least_width=14)
-NARROW: Final = Precision(decimals=3, digits=4, time_width=9, least_width=11)
+FULL_PRECISION: Final = Precision(decimals=6, digits=6, time_width=12, least_width=14)
+NARROW_PRECISION: Final = Precision(decimals=3, digits=4, time_width=9, least_width=11)
 LEAST_COLUMNS_FOR_FULL = 40  # of a terminal; in a narrower one, rows have fewer digits
-TIME = "time s"
+TIME_HEADING = "time s"
 
 
 class RowPrinter:
     """Formats rows of several streams as lines; a heading stands before the first row and at each change of stream."""
 
     def __init__(self, columns: int | None) -> None:
-        """Set the width of the terminal in characters; None for lines of any length."""
+        """Set the width of the terminal in characters, or None for lines of any length."""
         self._columns, self._stream = columns, ""
-        self._precision = NARROW if columns is not None and columns < LEAST_COLUMNS_FOR_FULL else FULL
+        self._precision = (
+            NARROW_PRECISION if columns is not None and columns < LEAST_COLUMNS_FOR_FULL else FULL_PRECISION
+        )
         self.left_out: dict[str, tuple[str, ...]] = {}  # by stream: channels that do not fit into the terminal
 
     def lines(self, rows: StreamRows) -> Iterator[str]:
@@ -45,16 +47,16 @@ class RowPrinter:
             self._stream = rows.stream
             yield f"# {rows.stream}"[: self._columns]
             cells = [f" {heading[: width - 1]:>{width - 1}}" for heading, width in zip(headings, widths, strict=False)]
-            yield f"#{TIME:>{time_width - 1}}" + "".join(cells)
+            yield f"#{TIME_HEADING:>{time_width - 1}}" + "".join(cells)
         for time, values in zip(rows.time.tolist(), rows.values.tolist(), strict=True):
             cells = [f"{value:>{width}.{digits}g}" for value, width in zip(values, widths, strict=False)]
             yield f"{time:>{time_width}.{decimals}f}" + "".join(cells)
 
     def _shown_widths(self, headings: list[str]) -> list[int]:
-        """Return the widths of the columns that fit into the terminal; at least that of the first column."""
+        """Return the widths of the columns that fit into the terminal; the first column is always among them."""
         widths = [max(len(heading) + 2, self._precision.least_width) for heading in headings]
         if self._columns is None:
             return widths
         free_width = self._columns - self._precision.time_width
-        fitting = [count for count in range(1, len(widths) + 1) if sum(widths[:count]) <= free_width]
-        return widths[: max(fitting)] if fitting else [max(free_width, self._precision.least_width)]
+        fitting_counts = [count for count in range(1, len(widths) + 1) if sum(widths[:count]) <= free_width]
+        return widths[: max(fitting_counts)] if fitting_counts else [max(free_width, self._precision.least_width)]

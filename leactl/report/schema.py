@@ -1,4 +1,4 @@
-"""The keys of each kind of YAML file, from its pydantic model: as JSON Schema for editors, as tables for the manual."""
+"""The keys of each kind of YAML file from its pydantic model: as JSON Schema for editors, as tables for the manual."""
 
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -49,8 +49,8 @@ def _protocol() -> JsonSchema:
     blocks: JsonSchema = schema.setdefault("$defs", {})
     steps: dict[str, JsonSchema] = {}
     for kind, adapter in KINDS.items():
-        steps[kind] = _moved_to_blocks(adapter.json_schema(), blocks)
-    signals = [_moved_to_blocks(adapter.json_schema(), blocks) for adapter in SIGNALS.values()]
+        steps[kind] = _reference_to_block(adapter.json_schema(), blocks)
+    signals = [_reference_to_block(adapter.json_schema(), blocks) for adapter in SIGNALS.values()]
     steps["signal"] = {"oneOf": signals}
     blocks[STEP] = {
         "description": "One step: a mapping of one key.",
@@ -70,12 +70,12 @@ def _protocol() -> JsonSchema:
         if name != STEP and "properties" in block:
             properties = block.get("properties", {})
             block["properties"] = {
-                key: value if key == "kind" else _or_parameter(value) for key, value in properties.items()
+                key: value if key == "kind" else _with_reference(value) for key, value in properties.items()
             }
     return schema
 
 
-def _or_parameter(value: JsonSchema) -> JsonSchema:
+def _with_reference(value: JsonSchema) -> JsonSchema:
     """Return a schema that accepts a reference to a parameter in place of the value, or of an item of a list."""
     for choice in (value, *value.get("anyOf", ())):
         if "items" in choice:
@@ -83,7 +83,7 @@ def _or_parameter(value: JsonSchema) -> JsonSchema:
     return {"anyOf": [value, REFERENCE]} | ({"default": value["default"]} if "default" in value else {})
 
 
-def _moved_to_blocks(block: JsonSchema, blocks: JsonSchema) -> JsonSchema:
+def _reference_to_block(block: JsonSchema, blocks: JsonSchema) -> JsonSchema:
     """Add the schema of a model, and the schemas that it refers to, to the blocks; return a reference to it.
 
     A schema without properties is not added but returned.
@@ -96,30 +96,35 @@ def _moved_to_blocks(block: JsonSchema, blocks: JsonSchema) -> JsonSchema:
 
 
 def _bench() -> JsonSchema:
+    """Return the schema of a bench file."""
     from leactl.bench.benchfile import BenchFile
 
     return BenchFile.model_json_schema()
 
 
 def _motor() -> JsonSchema:
+    """Return the schema of a motor file."""
     from leactl.model.motor_schema import MotorSheet
 
     return MotorSheet.model_json_schema()
 
 
 def _campaign() -> JsonSchema:
+    """Return the schema of a campaign file."""
     from leactl.runner.campaign.campaignfile import CampaignFile
 
     return CampaignFile.model_json_schema()
 
 
 def _model() -> JsonSchema:
+    """Return the schema of a model file."""
     from leactl.model.nominal import Model
 
     return Model.model_json_schema()
 
 
 def _mapping() -> JsonSchema:
+    """Return the schema of a mapping of foreign columns to channels."""
     from leactl.runfile.importing.mapping import Mapping
 
     return Mapping.model_json_schema()
@@ -164,8 +169,8 @@ def tables_of(kind: str) -> str:
         lines += ["", f"### {name}", "", " ".join(block.get("description", "").split()), ""]
         lines += ["| key | unit | accepted | default | meaning |", "|---|---|---|---|---|"]
         for key, value in block["properties"].items():
-            needed = key in block.get("required", ())
-            default = "required" if needed else _default(value)
+            is_required = key in block.get("required", ())
+            default = "required" if is_required else _default(value)
             unit = next((unit for suffix, unit in UNITS.items() if key.endswith(f"_{suffix}")), "")
             accepted = _accepted(value).replace("|", "\\|")
             lines.append(f"| `{key}` | {unit} | {accepted} | {default} | {value['description']} |")
@@ -176,19 +181,21 @@ def _with_choices(schema: JsonSchema) -> JsonSchema:
     """Return the schema with each reference to an enumeration replaced by its choices."""
     choices = {name: block for name, block in schema.get("$defs", {}).items() if "enum" in block}
 
-    def expanded(node: Any) -> Any:
+    def without_enumerations(node: Any) -> Any:
         if isinstance(node, list):
-            return [expanded(item) for item in node]
+            return [without_enumerations(item) for item in node]
         if not isinstance(node, dict):
             return node
         block_name = str(node.get("$ref", "")).rpartition("/")[2]
         if block_name in choices:
             return {"type": "string", "enum": choices[block_name]["enum"]}
         return {
-            key: expanded(value) for key, value in node.items() if not (key in choices and value in choices.values())
+            key: without_enumerations(value)
+            for key, value in node.items()
+            if not (key in choices and value in choices.values())
         }
 
-    without_references: JsonSchema = expanded(schema)
+    without_references: JsonSchema = without_enumerations(schema)
     return without_references
 
 
@@ -200,24 +207,32 @@ def _blocks(schema: JsonSchema) -> Iterator[tuple[str, JsonSchema]]:
 
 @cache
 def _meanings(file: str) -> dict[str, str]:
+    """Return the meanings of keys in a file of key_meanings/, by key or `Block.key`."""
     entry = resources.files("leactl.report") / "key_meanings" / f"{file}.yaml"
     meanings: dict[str, str] = yamlfile.parse(entry.read_text(encoding="utf-8"), entry.name).data
     return meanings
 
 
 def _meaning(file: str, block: str, key: str) -> str:
-    """Return the meaning of a key in a block: that of `Block.key`, else of the key, each also without its unit."""
-    stem = next((key.removesuffix(f"_{suffix}") for suffix in UNITS if key.endswith(f"_{suffix}")), key)
+    """Return the meaning of a key in a block: that of `Block.key`, else that of the key, each with or without its unit.
+
+    Raises
+    ------
+    KeyError : the key has no meaning.
+    """
+    key_without_unit = next((key.removesuffix(f"_{suffix}") for suffix in UNITS if key.endswith(f"_{suffix}")), key)
     meanings = _meanings(file)
-    listed = f"{SHOWN_INTERLOCK}.{stem}" if block in SIMILAR_INTERLOCKS else f"{block}.{stem}"
-    for name in (f"{block}.{key}", f"{block}.{stem}", listed, key, stem):
+    interlock_name = (
+        f"{SHOWN_INTERLOCK}.{key_without_unit}" if block in SIMILAR_INTERLOCKS else f"{block}.{key_without_unit}"
+    )
+    for name in (f"{block}.{key}", f"{block}.{key_without_unit}", interlock_name, key, key_without_unit):
         if name in meanings:
             return meanings[name]
     raise KeyError(f"{block}.{key}: no meaning in key_meanings/{file}.yaml")
 
 
 def _default(value: JsonSchema) -> str:
-    """Return the default of a key as Markdown code; empty without a default, or for an empty one or a mapping."""
+    """Return the default of a key as Markdown code; empty if it has none, or one that is empty or a mapping."""
     default = value.get("default")
     if default in (None, "", [], {}) or isinstance(default, dict):
         return ""
@@ -234,11 +249,11 @@ def _accepted(value: JsonSchema) -> str:
         return value["$ref"].rpartition("/")[2]  # type: ignore[no-any-return]
     if "enum" in value or "const" in value:
         return ", ".join(f"`{choice}`" for choice in value.get("enum", [value.get("const")]))
-    kind = value.get("type")
-    if kind == "array":
+    json_type = value.get("type")
+    if json_type == "array":
         items = value.get("items") or {}
         return f"list of {_accepted(items)}" if items else "list"
-    if kind in ("number", "integer"):
+    if json_type in ("number", "integer"):
         limits = (
             ("minimum", "from"),
             ("exclusiveMinimum", "above"),
@@ -246,5 +261,5 @@ def _accepted(value: JsonSchema) -> str:
             ("exclusiveMaximum", "below"),
         )
         bounds = [f"{relation} {value[limit]:.10g}" for limit, relation in limits if limit in value]
-        return " ".join(["whole number" if kind == "integer" else "number", *bounds])
-    return {"string": "text", "boolean": "`true`, `false`", "object": "mapping"}.get(str(kind), "any")
+        return " ".join(["whole number" if json_type == "integer" else "number", *bounds])
+    return {"string": "text", "boolean": "`true`, `false`", "object": "mapping"}.get(str(json_type), "any")

@@ -20,7 +20,7 @@ from leactl.analysis.estimate import Estimate, Result
 from leactl.report.plot import draw
 
 ASCII = str.maketrans({"±": "+-", "…": "..."})
-WIDEST_PLOT = 100  # characters; a wider plot shows no more
+WIDEST_PLOT = 100  # characters; a wider plot would show no more
 SMALLEST_WIDTH = 40  # characters
 TEXT_WIDTH = 80  # characters of texts that have the same width on every terminal
 FEWEST_COLUMNS = 20  # for the text of an entry of a list; with fewer columns the entry is not wrapped
@@ -43,9 +43,9 @@ def encoding_of_stdout() -> str:
 
 
 def encoding_of(stream: IO[str]) -> str:
-    """Return the encoding of a stream.
+    """Return the encoding of a stream, or that of the locale in a UTF-8 mode that the user did not ask for.
 
-    In a UTF-8 mode that the user did not ask for, it is that of the locale: the terminal may show ASCII alone.
+    Python turns that mode on by itself where the terminal may show ASCII alone.
     """
     is_implicit_utf8 = sys.flags.utf8_mode and not {"PYTHONUTF8", "PYTHONIOENCODING"} & os.environ.keys()
     return locale.getencoding() if is_implicit_utf8 else getattr(stream, "encoding", None) or "ascii"
@@ -53,14 +53,14 @@ def encoding_of(stream: IO[str]) -> str:
 
 def render(result: Result, width: int = 80, encoding: str = "utf-8", plot: bool = True) -> str:
     """Return the whole result as text for a stream of this width and encoding."""
-    unicode = shows_all(encoding)
+    shows_unicode = shows_all(encoding)
     width = min(max(width, SMALLEST_WIDTH), WIDEST_PLOT)
     parts = [wrapped(f"{result.experiment}, {len(result.runs)} run{'s' * (len(result.runs) > 1)}:", result.runs, width)]
     for group in result.groups:
         title = ", ".join(filter(None, group))
         parts.append("\n".join(filter(None, (title, table(result, group)))))
-        drawn = [figure for figure in result.plots if plot and (figure.actuator, figure.condition) == group]
-        parts += ["\n".join(draw(figure, width, ascii_only=not unicode)) for figure in drawn]
+        figures = [figure for figure in result.plots if plot and (figure.actuator, figure.condition) == group]
+        parts += ["\n".join(draw(figure, width, ascii_only=not shows_unicode)) for figure in figures]
     if result.notes:
         parts.append("\n".join(wrapped("note:", [note], width) for note in result.notes))
     return encodable("\n\n".join(part for part in parts if part) + "\n", encoding)
@@ -83,13 +83,13 @@ def shows_all(encoding: str) -> bool:
 def table(result: Result, group: tuple[str, str]) -> str:
     """Return a table of the estimates of one actuator and condition, with the figure of the paper below an estimate."""
     paper = paper_figures(result.experiment, group[1])
-    rows, parent = [], ""
+    rows, parent_name = [], ""
     for estimate in result.results:
         if (estimate.actuator, estimate.condition) != group:
             continue
-        is_part = bool(parent) and estimate.name.startswith(f"{parent}_")
-        parent = parent if is_part else estimate.name
-        name = f"  {estimate.name.removeprefix(parent + '_')}" if is_part else estimate.name
+        is_part = bool(parent_name) and estimate.name.startswith(f"{parent_name}_")
+        parent_name = parent_name if is_part else estimate.name
+        name = f"  {estimate.name.removeprefix(parent_name + '_')}" if is_part else estimate.name
         rows.append(
             (name, value_text(estimate), interval_text(estimate), estimate.units if estimate.units != "1" else "")
         )
@@ -114,8 +114,8 @@ def print_summary(results: Sequence[Result], names: Sequence[str]) -> None:
             )
             for experiment, estimate in estimates
         ]
-        head = f"{name} [{estimates[0][1].units}]"
-        tables.append(f"{head}\n{aligned(('', 'value ± std', '95 % interval', 'paper'), rows)}\n")
+        title = f"{name} [{estimates[0][1].units}]"
+        tables.append(f"{title}\n{aligned(('', 'value ± std', '95 % interval', 'paper'), rows)}\n")
     sys.stdout.write(encodable("\n".join(tables), encoding_of_stdout()))
 
 
@@ -162,7 +162,7 @@ def value_text(estimate: Estimate) -> str:
 
 
 def interval_text(estimate: Estimate) -> str:
-    """Return the 95 % interval as text; a lower bound if its upper end is infinite; empty without an interval."""
+    """Return the 95 % interval as text: a lower bound if its upper end is infinite, empty if an end is not known."""
     if estimate.low > 0.0 and math.isinf(estimate.high):
         return f"> {estimate.low:.6g}"
     if not (math.isfinite(estimate.low) and math.isfinite(estimate.high)):
@@ -181,21 +181,21 @@ def number(value: float, std: float) -> str:
 
 
 def without_uncertainty(value: float) -> str:
-    """Return a value without an uncertainty, with four decimals, or with as many as distinguish it from 1."""
+    """Return a value that has no uncertainty, with four decimals, or with more if it would look like 1."""
     if not math.isfinite(value):
         return "not known"
-    digits = next((count for count in range(4, 12) if value == 1.0 or float(f"{value:.{count}f}") != 1.0), 12)
-    return f"{value:.{digits}f}"
+    decimals = next((count for count in range(4, 12) if value == 1.0 or float(f"{value:.{count}f}") != 1.0), 12)
+    return f"{value:.{decimals}f}"
 
 
 def wrapped(head: str, items: Any, width: int) -> str:
-    """Return a head and its items, wrapped to a width; long words such as paths stay whole."""
+    """Return a head and its items as lines of at most `width` characters; long words such as paths stay whole."""
     text = f"{head} {', '.join(items)}"
     return textwrap.fill(text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
 def list_line(head: str, text: str) -> str:
-    """Return one entry of a list: a single line into a pipe; in a terminal, a line that is too long is wrapped.
+    """Return one entry of a list as a single line, which is wrapped if stdout is a terminal that is too narrow.
 
     The wrapped lines are indented by the length of `head`.
     """

@@ -11,7 +11,7 @@ from leactl.safety.thermal.guarded_currents import Carried, ContinuousLimits, Pe
 if TYPE_CHECKING:
     from leactl.runner.commission import Commissioned
 
-MOST_CORRELATIONS = 3  # that are shown; the largest ones
+MOST_CORRELATIONS = 3  # that a fit shows: the largest
 LIMITS_HEADING = f"{'':<28}{'guaranteed':>12}{'nominal':>12}{'favourable':>12}"
 
 
@@ -23,9 +23,9 @@ def limits_text(motor: Motor, ambient: float, continuous: Sequence[ContinuousLim
         "",
         LIMITS_HEADING,
     ]
-    for state in continuous:
-        lines.append(_limits_row(f"continuous, {state.motion} [A]", state.current))
-        lines.append(_limits_row("    [N*m]", state.torque))
+    for motion_limits in continuous:
+        lines.append(_limits_row(f"continuous, {motion_limits.motion} [A]", motion_limits.current))
+        lines.append(_limits_row("    [N*m]", motion_limits.torque))
     for peak in peaks:
         lines.append(_limits_row(f"{peak.duration_s:g} s at standstill [A]", peak.current))
         lines.append(_limits_row("    [N*m]", peak.torque))
@@ -40,8 +40,8 @@ def _limits_row(label: str, values: Carried) -> str:
 def fit_text(actuator_fit: ActuatorFit) -> str:
     """Return fitted parameters with standard errors, their largest correlations, a `tolerances:` block and notes."""
     fit, runs = actuator_fit.fit, actuator_fit.runs
-    head = f"{actuator_fit.actuator or 'actuator not named'}, {len(runs)} run{'s' * (len(runs) > 1)}:"
-    lines = [wrapped(head, runs, TEXT_WIDTH)]
+    title = f"{actuator_fit.actuator or 'actuator not named'}, {len(runs)} run{'s' * (len(runs) > 1)}:"
+    lines = [wrapped(title, runs, TEXT_WIDTH)]
     lines += [f"{'parameter':<36}{'nominal':>11}{'fitted':>11}{'std':>10}  unit"]
     lines += [
         f"{row.parameter:<36}{row.nominal:11.5g}{row.fitted:11.5g}{row.std:10.2g}  {row.units}"
@@ -83,12 +83,12 @@ def forecast_text(body: Mapping[str, Any]) -> str:
     lines += [f"  {role:<6}{value:8.1f} degC" for role, value in body["peaks_degC"].items()]
     if (rate_hz := body["turning_from_Hz"]) is not None:
         lines.append(f"  rate_Hz is below about {rate_hz:g}: over a tenth of a turning rotor's heat counts as standing")
-    crossing = body["passes"]
-    if crossing is None:
+    limit_crossing = body["passes"]
+    if limit_crossing is None:
         lines.append("may be run as it is")
         return "\n".join(lines)
-    step, time_s = crossing["step"], crossing["time_s"]
-    lines.append(f"the {crossing['role']} winding may pass it in step '{step}', after {time_s:g} s")
+    step, time_s = limit_crossing["step"], limit_crossing["time_s"]
+    lines.append(f"the {limit_crossing['role']} winding may pass it in step '{step}', after {time_s:g} s")
     for wait in body["cooldowns"]:
         lines.append(f"  a wait of {wait['duration_s']:g} s at {wait['start_s']:g} s helps (--insert-cooldown)")
     if not body["cooldowns"]:
@@ -131,8 +131,8 @@ def commissioned_text(body: Mapping[str, Any]) -> str:
     ----------
     body : as `commissioned_body` returns it.
     """
-    state = "run" if body["done"] else "admitted" if body["admitted"] else "not admitted yet"
-    lines = [f"{body['actuator']}: protocol '{body['protocol']}' {state}"]
+    progress = "run" if body["done"] else "admitted" if body["admitted"] else "not admitted yet"
+    lines = [f"{body['actuator']}: protocol '{body['protocol']}' {progress}"]
     lines += [f"  {run['heating_s']:6.0f} s of heating  {run['run']}" for run in body["runs"]]
     if body["next_heating_s"] is not None:
         lines += [f"  {body['next_heating_s']:6.0f} s of heating come next"]

@@ -52,26 +52,26 @@ def thermal_fits(paths: Sequence[Path], motor: Motor) -> tuple[list[ActuatorFit]
     in_folders = {file for path in paths if path.is_dir() for file in run_files([path])}
     left_out: list[str] = []
     faults: list[str] = []
-    usable: list[Run] = []
-    with ExitStack() as opened:
+    usable_runs: list[Run] = []
+    with ExitStack() as open_runs:
         for path in run_files(paths):
             try:
-                run = opened.enter_context(Run.open(path))
+                run = open_runs.enter_context(Run.open(path))
             except InputError as error:
                 (left_out if path in in_folders else faults).extend(error.faults)
                 continue
-            if missing := missing_channels(run):
-                left_out.append(f"{path}: has no {', no '.join(missing)}; a thermal network needs it")
+            if channels_missing := missing_channels(run):
+                left_out.append(f"{path}: has no {', no '.join(channels_missing)}; a thermal network needs it")
             else:
-                usable.append(run)
-        if faults or not usable:
+                usable_runs.append(run)
+        if faults or not usable_runs:
             raise InputError(faults or left_out)
-        refuse_repeated(usable)
-        refuse_altered(usable)
-        groups: dict[str, list[Run]] = {}
-        for run in usable:
-            groups.setdefault(str(run.attributes.get("actuator", "")), []).append(run)
-        return [actuator_fit(actuator, runs, motor) for actuator, runs in groups.items()], left_out
+        refuse_repeated(usable_runs)
+        refuse_altered(usable_runs)
+        runs_by_actuator: dict[str, list[Run]] = {}
+        for run in usable_runs:
+            runs_by_actuator.setdefault(str(run.attributes.get("actuator", "")), []).append(run)
+        return [actuator_fit(actuator, runs, motor) for actuator, runs in runs_by_actuator.items()], left_out
 
 
 def actuator_fit(actuator: str, runs: Sequence[Run], motor: Motor) -> ActuatorFit:

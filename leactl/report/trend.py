@@ -12,15 +12,19 @@ from leactl.report.terminal import TEXT_WIDTH, aligned, number, shows_all, value
 def trend_text(trend: Trend, encoding: str = "utf-8") -> str:
     """Return a sentence on whether the result has changed, a row for each run, and a plot."""
     group = ", ".join(filter(None, (trend.actuator, trend.condition)))
-    head = f"{trend.result} [{trend.units}]{' of ' + group if group else ''}: {change_sentence(trend)}"
-    lines = [*textwrap.wrap(head, TEXT_WIDTH, subsequent_indent="  "), ""]
-    beyond = set(trend.chart.beyond) if trend.chart else set()
-    shifted = set(trend.chart.shifted) if trend.chart else set()
+    title = f"{trend.result} [{trend.units}]{' of ' + group if group else ''}: {change_sentence(trend)}"
+    lines = [*textwrap.wrap(title, TEXT_WIDTH, subsequent_indent="  "), ""]
+    beyond_limits = set(trend.chart.beyond) if trend.chart else set()
+    on_one_side = set(trend.chart.shifted) if trend.chart else set()
     rows = [
         (
             point.created[:16].replace("T", " "),
             value_text(point.value),
-            "beyond the limits" if index in beyond else f"{ROW_LENGTH} on one side" if index in shifted else "",
+            "beyond the limits"
+            if index in beyond_limits
+            else f"{ROW_LENGTH} on one side"
+            if index in on_one_side
+            else "",
             point.run.name,
         )
         for index, point in enumerate(trend.points)
@@ -36,19 +40,23 @@ def change_sentence(trend: Trend) -> str:
     chart, count = trend.chart, len(trend.points)
     if chart is None:
         return f"{count} run{'s' if count != 1 else ''}; limits need {FEWEST_BASELINE_VALUES}"
-    std = (chart.high - chart.low) / 6.0
-    limits = f"{number(chart.low, std)} .. {number(chart.high, std)} by {chart.baseline} runs"
+    standard_deviation = (chart.high - chart.low) / 6.0
+    limits = (
+        f"{number(chart.low, standard_deviation)} .. {number(chart.high, standard_deviation)} by {chart.baseline} runs"
+    )
     if not chart.changed:
         return f"no change in {count} runs; limits {limits}"
-    first = min([*chart.beyond, *chart.shifted])
-    return f"changed, seen first on {trend.points[first].created[:10]}; limits {limits}"
+    first_change = min([*chart.beyond, *chart.shifted])
+    return f"changed, seen first on {trend.points[first_change].created[:10]}; limits {limits}"
 
 
 def trend_plot(trend: Trend) -> Plot:
     """Return a plot of the values over the runs' numbers, with centre line and limits."""
     numbers = tuple(float(index + 1) for index in range(len(trend.points)))
     values = tuple(point.value.value for point in trend.points)
-    ends = (numbers[0], numbers[-1])
+    end_numbers = (numbers[0], numbers[-1])
     chart = trend.chart
-    lines = [Series("", ends, (limit, limit)) for limit in (chart.low, chart.centre, chart.high)] if chart else []
-    return Plot("run", f"{trend.result} [{trend.units}]", (Series("a run", numbers, values),), tuple(lines))
+    limit_lines = (
+        [Series("", end_numbers, (limit, limit)) for limit in (chart.low, chart.centre, chart.high)] if chart else []
+    )
+    return Plot("run", f"{trend.result} [{trend.units}]", (Series("a run", numbers, values),), tuple(limit_lines))

@@ -60,7 +60,7 @@ def test_20_s_torque_by_the_network_is_15_7_and_not_16_3():
     """Both printed torques are 1.036 to 1.04 times what the network and the torque constant give."""
     peak = LEA.torque_constant * for_20_s(LEA, 4e-3)
     assert peak == pytest.approx(15.7, abs=0.1)
-    carried = compared_motor("lea", OperatingConditions()).carried
+    carried = compared_motor("lea", OperatingConditions()).currents
     assert LEA.torque_constant * carried.peaks[0] == pytest.approx(peak, rel=0.01)
     assert carried.standing_peaks[0] < 0.75 * carried.peaks[0]  # one phase takes two thirds of the heat
     assert LEA.printed.peak_torque_20_s / peak == pytest.approx(1.036, abs=0.005)

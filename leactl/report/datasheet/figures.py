@@ -13,11 +13,11 @@ from leactl.report.datasheet.rows import DatasheetRow, ordered_conditions
 from leactl.report.datasheet.runset import GroupResult, RunEntry, RunSet
 from leactl.report.intervals import Interval, IntervalChart, intervals
 
-COLOURS = 6  # that the colour-blind can tell apart; classes s0 to s5 of datasheet.css
-MARKS = ("dot", "ring", "square")
-MOST_SHARED_KINDS = 2  # kinds of points (labels of their series), up to which several conditions share one figure
-MOST_LEGEND_LINES = 2  # names of lines without points; if there are more, as of contours, names stand on the lines
-DENSE_POINTS = 40  # points of a series; more are drawn small, or as a line if no line was fitted to them
+COLOUR_COUNT = 6  # number of colours that the colour-blind can tell apart; classes s0 to s5 of datasheet.css
+MARK_STYLES = ("dot", "ring", "square")
+MOST_SHARED_KINDS = 2  # kinds of points (labels of series) in a figure that several conditions share
+MOST_LEGEND_LINES = 2  # lines without points in a legend; if there are more, their names are on the lines
+DENSE_POINTS = 40  # of a series; more points are drawn small, or as a line if no line was fitted to them
 SPELLINGS = {"emf": "EMF", "coulomb": "Coulomb", "rmse": "RMSE"}
 PRINTED_UNITS = {"degC": "°C", "ohm": "Ω", "mohm": "mΩ", "uH": "µH"}
 UNIT = re.compile(rf"(?<![\w])({'|'.join(PRINTED_UNITS)})(?![\w])")
@@ -51,17 +51,21 @@ def figures(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> l
     """
     answers_by_set = [run_set.answers_of(motor, experiment) for run_set, motor in zip(sets, motors, strict=True)]
     all_answers = [answer for answers in answers_by_set for answer in answers]
-    measured = {answer.condition for answer in all_answers}
-    order = [condition for condition in ordered_conditions(all_answers) if condition in measured]
-    colours = {condition: f"s{index % COLOURS}" for index, condition in enumerate(order)}
-    answers_by_set = [sorted(answers, key=lambda answer: order.index(answer.condition)) for answers in answers_by_set]
-    count = max((len(answer.result.plots) for answer in all_answers), default=0)
+    measured_conditions = {answer.condition for answer in all_answers}
+    condition_order = [condition for condition in ordered_conditions(all_answers) if condition in measured_conditions]
+    colours = {condition: f"s{index % COLOUR_COUNT}" for index, condition in enumerate(condition_order)}
+    answers_by_set = [
+        sorted(answers, key=lambda answer: condition_order.index(answer.condition)) for answers in answers_by_set
+    ]
+    plot_count = max((len(answer.result.plots) for answer in all_answers), default=0)
     charts = []
-    for index in range(count):
+    for index in range(plot_count):
         drawings_by_set = [figures_of(answers, index, colours) for answers in answers_by_set]
         for set_index, drawings in enumerate(drawings_by_set):
             other_drawings = drawings_by_set[:set_index] + drawings_by_set[set_index + 1 :]
-            other_layers = [layer for drawn in other_drawings for drawing in drawn for layer in drawing.layers]
+            other_layers = [
+                layer for set_drawings in other_drawings for drawing in set_drawings for layer in drawing.layers
+            ]
             caption_prefix = f"{sets[set_index].name}: " if len(sets) > 1 else ""
             charts += [linked_chart(drawing, other_layers, caption_prefix) for drawing in drawings]
     return charts
@@ -69,9 +73,9 @@ def figures(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> l
 
 def linked_chart(drawing: Figure, included_in_axes: Sequence[Layer], caption_prefix: str) -> LinkedChart:
     """Return the chart of a figure with its caption and runs; its axes also contain the layers `included_in_axes`."""
-    labels = pretty(drawing.plot.x_label), pretty(drawing.plot.y_label)
-    drawn = chart(drawing.layers, *labels, included_in_axes, drawing.keys, drawing.plot.x_log)
-    return LinkedChart(f"{caption_prefix}{drawing.caption}", drawing.entries, drawn)
+    axis_labels = pretty(drawing.plot.x_label), pretty(drawing.plot.y_label)
+    drawn_chart = chart(drawing.layers, *axis_labels, included_in_axes, drawing.keys, drawing.plot.x_log)
+    return LinkedChart(f"{caption_prefix}{drawing.caption}", drawing.entries, drawn_chart)
 
 
 def figures_of(answers: Sequence[GroupResult], index: int, colours: Mapping[str, str]) -> list[Figure]:
@@ -79,19 +83,27 @@ def figures_of(answers: Sequence[GroupResult], index: int, colours: Mapping[str,
 
     The conditions of an actuator share one figure if they have the same axes, few series of points, and a colour each.
     """
-    drawable = [answer for answer in answers if index < len(answer.result.plots)]
+    answers_with_plot = [answer for answer in answers if index < len(answer.result.plots)]
     drawings = []
-    for actuator in dict.fromkeys(answer.actuator for answer in drawable):
-        of_actuator = [answer for answer in drawable if answer.actuator == actuator]
-        kinds = {series.label for answer in of_actuator for series in answer.result.plots[index].points}
-        labels = {(answer.result.plots[index].x_label, answer.result.plots[index].y_label) for answer in of_actuator}
-        together = len(kinds) <= MOST_SHARED_KINDS and len(labels) == 1 and 1 < len(of_actuator) <= COLOURS
-        for group in [of_actuator] if together else [[answer] for answer in of_actuator]:
+    for actuator in dict.fromkeys(answer.actuator for answer in answers_with_plot):
+        actuator_answers = [answer for answer in answers_with_plot if answer.actuator == actuator]
+        point_kinds = {series.label for answer in actuator_answers for series in answer.result.plots[index].points}
+        axis_labels = {
+            (answer.result.plots[index].x_label, answer.result.plots[index].y_label) for answer in actuator_answers
+        }
+        is_shared = (
+            len(point_kinds) <= MOST_SHARED_KINDS
+            and len(axis_labels) == 1
+            and 1 < len(actuator_answers) <= COLOUR_COUNT
+        )
+        for group in [actuator_answers] if is_shared else [[answer] for answer in actuator_answers]:
             plots = [answer.result.plots[index] for answer in group]
             entries = tuple(entry for answer in group for entry in answer.entries)
-            layers, keys = overlaid_layers(group, plots, colours) if together else (plot_layers(plots[0]), [])
-            caption = (subject(plots[0]), actuator, "" if together else group[0].condition)
-            drawings.append(Figure(", ".join(filter(None, caption)), plots[0], tuple(layers), tuple(keys), entries))
+            layers, keys = overlaid_layers(group, plots, colours) if is_shared else (plot_layers(plots[0]), [])
+            caption_parts = (subject(plots[0]), actuator, "" if is_shared else group[0].condition)
+            drawings.append(
+                Figure(", ".join(filter(None, caption_parts)), plots[0], tuple(layers), tuple(keys), entries)
+            )
     return drawings
 
 
@@ -99,14 +111,14 @@ def plot_layers(plot: Plot) -> list[Layer]:
     """Return the layers of one plot: a colour for each series of points and its fitted lines, grey for other lines."""
     if plot.bands:
         return map_layers(plot)
-    colours = {series.label: f"s{index % COLOURS}" for index, series in enumerate(plot.points)}
-    marks = {series.label: MARKS[index % len(MARKS)] for index, series in enumerate(plot.points)}
+    colours = {series.label: f"s{index % COLOUR_COUNT}" for index, series in enumerate(plot.points)}
+    marks = {series.label: MARK_STYLES[index % len(MARK_STYLES)] for index, series in enumerate(plot.points)}
     layers: list[Layer] = []
-    many_names = len({line.label for line in plot.lines if not kind_of(line, colours)}) > MOST_LEGEND_LINES
+    names_on_lines = len({line.label for line in plot.lines if not kind_of(line, colours)}) > MOST_LEGEND_LINES
     for line in plot.lines:
         kind = kind_of(line, colours)
         style = f"line {colours[kind]}" if kind == line.label else f"line thin {colours.get(kind, 'other')}"
-        layers.append(LineMarks(line.label, style, *arrays(line), connected=True, labelled=many_names and not kind))
+        layers.append(LineMarks(line.label, style, *arrays(line), connected=True, labelled=names_on_lines and not kind))
     layers += [
         point_layer(series, series.label, colours[series.label], marks[series.label], plot) for series in plot.points
     ]
@@ -132,12 +144,12 @@ def overlaid_layers(
     answers: Sequence[GroupResult], plots: Sequence[Plot], colours: Mapping[str, str]
 ) -> tuple[list[Layer], list[Key]]:
     """Return layers and legend of overlaid conditions: a colour for each condition, a mark for each kind of points."""
-    kinds = list(dict.fromkeys(series.label for plot in plots for series in plot.points))
+    point_kinds = list(dict.fromkeys(series.label for plot in plots for series in plot.points))
     layers: list[Layer] = []
     for answer, plot in zip(answers, plots, strict=True):
         colour = colours[answer.condition]
         for line in plot.lines:
-            is_fit = kind_of(line, dict.fromkeys(kinds)) == line.label
+            is_fit = kind_of(line, dict.fromkeys(point_kinds)) == line.label
             layers.append(
                 LineMarks(
                     answer.condition,
@@ -147,10 +159,15 @@ def overlaid_layers(
                 )
             )
         layers += [
-            point_layer(series, series.label, colour, MARKS[kinds.index(series.label)], plot) for series in plot.points
+            point_layer(series, series.label, colour, MARK_STYLES[point_kinds.index(series.label)], plot)
+            for series in plot.points
         ]
     keys = [(f"line {colours[answer.condition]}", answer.condition) for answer in answers]
-    keys += [(f"{MARKS[index]} other", kind) for index, kind in enumerate(kinds)] if len(kinds) > 1 else []
+    keys += (
+        [(f"{MARK_STYLES[index]} other", kind) for index, kind in enumerate(point_kinds)]
+        if len(point_kinds) > 1
+        else []
+    )
     return points_first(layers), keys
 
 
@@ -163,12 +180,12 @@ def point_layer(series: Series, name: str, colour: str, mark: str, plot: Plot) -
     has_fit = any(line.label.startswith(series.label) or len(set(line.y)) > 1 for line in plot.lines)
     if len(x) > DENSE_POINTS and not has_fit and bool(np.all(np.diff(x) > 0.0)):
         return LineMarks(name, f"line {colour}", x, y)
-    dense = max(len(drawn.x) for drawn in plot.points) > DENSE_POINTS
-    return PointMarks(name, f"fine {colour}" if dense else f"{mark} {colour}", x, y)
+    is_dense = max(len(drawn_series.x) for drawn_series in plot.points) > DENSE_POINTS
+    return PointMarks(name, f"fine {colour}" if is_dense else f"{mark} {colour}", x, y)
 
 
 def points_first(layers: Sequence[Layer]) -> list[Layer]:
-    """Return the layers with points before lines: later layers are drawn on top, and points would hide lines."""
+    """Return the layers with points before lines: later layers are drawn on top, where points would hide lines."""
     return sorted(layers, key=lambda layer: isinstance(layer, LineMarks))
 
 
@@ -187,7 +204,7 @@ def over_conditions(rows: Sequence[DatasheetRow], sets: Sequence[RunSet]) -> lis
     charts = []
     for name in dict.fromkeys(row.name for row in rows):
         rows_of_result = [row for row in rows if row.name == name]
-        strips = [
+        interval_rows = [
             Interval(
                 ", ".join(
                     filter(
@@ -195,7 +212,7 @@ def over_conditions(rows: Sequence[DatasheetRow], sets: Sequence[RunSet]) -> lis
                     )
                 )
                 or "all",
-                f"dot s{set_index % COLOURS}",
+                f"dot s{set_index % COLOUR_COUNT}",
                 cell.estimate.value,
                 cell.estimate.low,
                 cell.estimate.high,
@@ -205,9 +222,9 @@ def over_conditions(rows: Sequence[DatasheetRow], sets: Sequence[RunSet]) -> lis
             for set_index, cell in enumerate(row.cells)
             if cell.estimate is not None and np.isfinite(cell.estimate.std)
         ]
-        if len(strips) > 1:
+        if len(interval_rows) > 1:
             label = pretty(f"{plain(name)} [{rows_of_result[0].units}]")
-            charts.append((plain(name), intervals(strips, label)))
+            charts.append((plain(name), intervals(interval_rows, label)))
     return charts
 
 

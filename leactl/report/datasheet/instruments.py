@@ -1,4 +1,4 @@
-"""Instruments that measured the runs of a datasheet, with their runs; also those made after a calibration was due."""
+"""Instruments that measured the runs of a datasheet, and the runs that were recorded after a calibration was due."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ class InstrumentUse:
 
     @property
     def known_facts(self) -> dict[str, str]:
-        """Return those of model, serial number, firmware and calibration that are known, by name."""
+        """Return model, serial number, firmware and calibration by name, without those that are not known."""
         return dict(self.facts)
 
     @property

@@ -1,4 +1,4 @@
-"""Makes a datasheet from run files: checks the command line, analyses the runs, then writes HTML and PDF."""
+"""Make a datasheet from run files: check the command line, analyse the runs, then write HTML and PDF."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -30,7 +30,7 @@ class DatasheetOutputs:
         return self.html.with_suffix(".pdf") if self.pdf and self.html is not None else None
 
     def check(self, inputs: Sequence[Path]) -> None:
-        """Check that all outputs can be written, before minutes are spent on the analyses.
+        """Raise if an output cannot be written, before minutes are spent on the analyses.
 
         Raises
         ------
@@ -68,22 +68,24 @@ def make(
     outputs.check([*runs, *compared])
     with ProgressLine() as step:
         prefixes = ("A", "B") if compared else ("R",)
-        groups = (runs, compared) if compared else (runs,)
-        sets = tuple(read_runs(paths, prefix, options, step) for paths, prefix in zip(groups, prefixes, strict=True))
+        paths_by_set = (runs, compared) if compared else (runs,)
+        sets = tuple(
+            read_runs(paths, prefix, options, step) for paths, prefix in zip(paths_by_set, prefixes, strict=True)
+        )
         refuse_shared(sets)
-        sheet = Datasheet(with_distinct_names(sets))
-        sheet.refuse_empty()
+        datasheet = Datasheet(with_distinct_names(sets))
+        datasheet.refuse_empty()
         step("writing")
         if outputs.html is not None:
             with replacement(outputs.html) as path:
-                path.write_text(page(sheet, outputs.html), encoding="utf-8")
+                path.write_text(page(datasheet, outputs.html), encoding="utf-8")
             if outputs.pdf_file is not None:
                 print_pdf(outputs.html, outputs.pdf_file)
-    for line in warnings_of(sheet.sets):
+    for line in warnings_of(datasheet.sets):
         print(f"leactl: warning: {line}", file=sys.stderr)
-    for entry in (entry for run_set in sheet.sets for entry in run_set.entries if entry.fault):
+    for entry in (entry for run_set in datasheet.sets for entry in run_set.entries if entry.fault):
         print(f"leactl: not analysed: {entry.path}: {entry.fault}", file=sys.stderr)
-    return sheet
+    return datasheet
 
 
 def refuse_shared(sets: Sequence[RunSet]) -> None:

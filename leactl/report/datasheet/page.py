@@ -46,9 +46,9 @@ MOTOR_FILE_FIGURES = (  # that the table of motor files shows
 
 def page(sheet: Datasheet, out: Path) -> str:
     """Return the datasheet as an HTML page; its links to runs are relative to the file `out`."""
-    compared = " and ".join(run_set.name for run_set in sheet.sets) if len(sheet.sets) > 1 else ""
+    set_names = " and ".join(run_set.name for run_set in sheet.sets) if len(sheet.sets) > 1 else ""
     motors = ", ".join(section.title for section in sheet.sections)
-    title = f"Datasheet: {motors}" + (f", {compared}" if compared else "")
+    title = f"Datasheet: {motors}" + (f", {set_names}" if set_names else "")
     return render(
         "datasheet.html",
         title=title,
@@ -153,8 +153,8 @@ def comparison_content(
         for note in comparison.notes:
             results_of_note.setdefault(with_labels(note, entries), []).append(plain(comparison.name))
     remarks = [
-        note if len(results) == len(comparisons) else f"{', '.join(results)}: {note}"
-        for note, results in results_of_note.items()
+        note if len(result_names) == len(comparisons) else f"{', '.join(result_names)}: {note}"
+        for note, result_names in results_of_note.items()
     ]
     sentences = [comparison.sentence.replace(comparison.name, plain(comparison.name)) for comparison in comparisons]
     return {
@@ -254,9 +254,9 @@ def map_table(grid: Grid, answer: GroupResult) -> dict[str, Any]:
     rows = [
         [f"{setpoint:.4g}", *map(map_cell, row)] for setpoint, row in zip(down_setpoints, cells.tolist(), strict=True)
     ]
-    whose = ", ".join(filter(None, (plain(grid.name), answer.actuator, answer.condition)))
+    title = ", ".join(filter(None, (plain(grid.name), answer.actuator, answer.condition)))
     return {
-        "whose": whose,
+        "whose": title,
         "quantity": with_unit(quantity).capitalize(),
         "setpoints": cells.size,
         "entries": answer.entries,

@@ -21,8 +21,8 @@ class DatasheetCell:
     estimate: Estimate | None
     entries: tuple[RunEntry, ...] = ()
     lacks: str = ""
-    actuators: tuple[str, ...] = ()  # that the estimate is of
-    whose: str = ""  # names them, where the set has further actuators; empty else
+    actuators: tuple[str, ...] = ()  # whose results the estimate pools
+    whose: str = ""  # text with the names of these actuators if the set has others too; else empty
 
     @property
     def actuator(self) -> str:
@@ -81,8 +81,8 @@ class DatasheetRow:
 
 def estimate_json(estimate: Estimate | None) -> dict[str, float | None]:
     """Return value, std, low and high of an estimate; all are None without an estimate."""
-    fields = {} if estimate is None else estimate.as_json()
-    return {key: fields.get(key) for key in ("value", "std", "low", "high")}
+    estimate_fields = {} if estimate is None else estimate.as_json()
+    return {key: estimate_fields.get(key) for key in ("value", "std", "low", "high")}
 
 
 def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list[DatasheetRow]:
@@ -96,7 +96,7 @@ def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list
     motors : the motor of each set.
     """
     answers_by_set = [run_set.answers_of(motor, experiment) for run_set, motor in zip(sets, motors, strict=True)]
-    faulty_by_set = [
+    faulty_entries_by_set = [
         [entry for entry in run_set.entries if entry.fault and (entry.motor, entry.experiment) == (motor, experiment)]
         for run_set, motor in zip(sets, motors, strict=True)
     ]
@@ -106,14 +106,18 @@ def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list
         for condition in conditions(experiment, all_answers, name):
             paper = paper_figures(experiment, condition).get(name, "")
             cells_by_set = [
-                cells_of(answers, faulty, name, condition)
-                for answers, faulty in zip(answers_by_set, faulty_by_set, strict=True)
+                cells_of(answers, faulty_entries, name, condition)
+                for answers, faulty_entries in zip(answers_by_set, faulty_entries_by_set, strict=True)
             ]
             cells_of_rows: list[tuple[DatasheetCell, ...]]
             if len(sets) == 1:
-                pooled = pooled_cell(cells_by_set[0])
+                pooled_over_actuators = pooled_cell(cells_by_set[0])
                 cells_of_rows = [
-                    (cell,) for cell in [*cells_by_set[0], *([pooled] if len(pooled.actuators) > 1 else [])]
+                    (cell,)
+                    for cell in [
+                        *cells_by_set[0],
+                        *([pooled_over_actuators] if len(pooled_over_actuators.actuators) > 1 else []),
+                    ]
                 ]
             else:
                 cells_of_rows = [
@@ -135,18 +139,18 @@ def result_names(experiment: str, answers: Sequence[GroupResult]) -> list[str]:
     These are the results of the paper. For an experiment that is not in the paper, they are all results with an
     interval, without parts of another result, such as that of one direction alone.
     """
-    in_paper = dict.fromkeys(name for paper_row in figures_by_condition(experiment).values() for name in paper_row)
-    if in_paper:
-        return list(in_paper)
-    with_interval: dict[str, None] = {}
+    paper_names = dict.fromkeys(name for paper_row in figures_by_condition(experiment).values() for name in paper_row)
+    if paper_names:
+        return list(paper_names)
+    names_with_interval: dict[str, None] = {}
     for answer in answers:
         parents: list[str] = []
         for estimate in answer.result.results:
             is_part = any(estimate.name.startswith(f"{parent}_") for parent in parents)
             parents += [] if is_part else [estimate.name]
             if not is_part and not math.isnan(estimate.low):
-                with_interval[estimate.name] = None
-    return list(with_interval)
+                names_with_interval[estimate.name] = None
+    return list(names_with_interval)
 
 
 def conditions(experiment: str, answers: Sequence[GroupResult], name: str) -> list[str]:
@@ -156,8 +160,8 @@ def conditions(experiment: str, answers: Sequence[GroupResult], name: str) -> li
         for label, paper_values in figures_by_condition(experiment).items()
         if label != "any" and name in paper_values
     ]
-    measured = {answer.condition for answer in answers} | set(paper_conditions)
-    return [label for label in ordered_conditions(answers) if label in measured] or [""]
+    known_conditions = {answer.condition for answer in answers} | set(paper_conditions)
+    return [label for label in ordered_conditions(answers) if label in known_conditions] or [""]
 
 
 def ordered_conditions(answers: Sequence[GroupResult]) -> list[str]:
@@ -170,38 +174,43 @@ def ordered_conditions(answers: Sequence[GroupResult]) -> list[str]:
 
 
 def cells_of(
-    answers: Sequence[GroupResult], faulty: Sequence[RunEntry], name: str, condition: str
+    answers: Sequence[GroupResult], faulty_entries: Sequence[RunEntry], name: str, condition: str
 ) -> list[DatasheetCell]:
     """Return a cell of one result for each actuator that has it, or one cell without an estimate that says why.
 
     Parameters
     ----------
     answers : results of one set of runs under all conditions.
-    faulty : runs of the set that could not be analysed.
+    faulty_entries : runs of the set that could not be analysed.
     """
-    of_condition = [answer for answer in answers if answer.condition == condition]
+    condition_answers = [answer for answer in answers if answer.condition == condition]
     estimates = [
-        (answer, estimate) for answer in of_condition for estimate in answer.result.results if estimate.name == name
+        (answer, estimate)
+        for answer in condition_answers
+        for estimate in answer.result.results
+        if estimate.name == name
     ]
     if not estimates:
-        not_analysed = tuple(entry for entry in faulty if condition in ("", entry.group[1]))
-        return [DatasheetCell(None, not_analysed, "not analysed" if not_analysed else NOT_MEASURED)]
+        entries_not_analysed = tuple(entry for entry in faulty_entries if condition in ("", entry.group[1]))
+        return [DatasheetCell(None, entries_not_analysed, "not analysed" if entries_not_analysed else NOT_MEASURED)]
     return [DatasheetCell(estimate, answer.entries, actuators=(answer.actuator,)) for answer, estimate in estimates]
 
 
 def pooled_cell(cells: Sequence[DatasheetCell]) -> DatasheetCell:
     """Pool the cells of several actuators: the mean of their values, or, without values, bounds that hold for all."""
-    measured = [(cell, cell.estimate) for cell in cells if cell.estimate is not None]
-    valued = [(cell, estimate) for cell, estimate in measured if math.isfinite(estimate.value)]
-    bounded = [
-        (cell, estimate) for cell, estimate in measured if not (math.isnan(estimate.low) and math.isnan(estimate.high))
+    measured_cells = [(cell, cell.estimate) for cell in cells if cell.estimate is not None]
+    cells_with_value = [(cell, estimate) for cell, estimate in measured_cells if math.isfinite(estimate.value)]
+    cells_with_bound = [
+        (cell, estimate)
+        for cell, estimate in measured_cells
+        if not (math.isnan(estimate.low) and math.isnan(estimate.high))
     ]
-    chosen = valued or bounded or measured
-    if len(chosen) < 2:
-        return chosen[0][0] if chosen else cells[0]
-    pooled = (over_actuators if valued else widest)([estimate for _, estimate in chosen])
-    entries = tuple(entry for cell, _ in chosen for entry in cell.entries)
-    return DatasheetCell(pooled, entries, actuators=tuple(name for cell, _ in chosen for name in cell.actuators))
+    pooled_cells = cells_with_value or cells_with_bound or measured_cells
+    if len(pooled_cells) < 2:
+        return pooled_cells[0][0] if pooled_cells else cells[0]
+    pooled = (over_actuators if cells_with_value else widest)([estimate for _, estimate in pooled_cells])
+    entries = tuple(entry for cell, _ in pooled_cells for entry in cell.entries)
+    return DatasheetCell(pooled, entries, actuators=tuple(name for cell, _ in pooled_cells for name in cell.actuators))
 
 
 def with_actuator_names(cell: DatasheetCell, run_set: RunSet, motor: str) -> DatasheetCell:
@@ -220,10 +229,10 @@ def shared_actuator(cells: Sequence[DatasheetCell]) -> str:
 
 def unlisted(sets: Sequence[RunSet], motors: Sequence[str]) -> list[str]:
     """Return the experiments that have neither a run nor a figure in the paper."""
-    measured = {
+    measured_experiments = {
         entry.experiment
         for run_set, motor in zip(sets, motors, strict=True)
         for entry in run_set.entries
         if entry.motor == motor
     }
-    return [name for name in names() if name not in measured and not figures_by_condition(name)]
+    return [name for name in names() if name not in measured_experiments and not figures_by_condition(name)]

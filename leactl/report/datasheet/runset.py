@@ -9,7 +9,7 @@ from typing import Any
 
 from leactl import yamlfile
 from leactl.analysis.analyze import analysis_of, analyze_runs, experiment_of, names
-from leactl.analysis.analyze import options_of as taken_by
+from leactl.analysis.analyze import options_of as options_of_analysis
 from leactl.analysis.anova.comparison import Comparison, compare_all
 from leactl.analysis.estimate import Result, listed
 from leactl.errors import InputError
@@ -102,25 +102,29 @@ def read_runs(paths: Sequence[Path], prefix: str, options: Mapping[str, float], 
     report_step("reading")
     entries = [entry_of(path) for path in run_files(paths)]
     entries.sort(key=order_key)
-    copies = Counter(entry.identity for entry in entries)
+    copy_counts = Counter(entry.identity for entry in entries)
     entry_of_identity: dict[str, RunEntry] = {}
-    for number, entry in enumerate(entries, start=1):
-        entry.label = f"{prefix}{number}"
-        if copies[entry.identity] > 1 and not entry.fault:
+    for entry_number, entry in enumerate(entries, start=1):
+        entry.label = f"{prefix}{entry_number}"
+        if copy_counts[entry.identity] > 1 and not entry.fault:
             entry.fault = checksum_fault(entry.path)
-        first = entry if entry.fault else entry_of_identity.setdefault(entry.identity, entry)
-        if first is not entry:
-            entry.fault = f"the same run as {first.label}"
+        first_entry = entry if entry.fault else entry_of_identity.setdefault(entry.identity, entry)
+        if first_entry is not entry:
+            entry.fault = f"the same run as {first_entry.label}"
     answers: list[GroupResult] = []
     verdicts: dict[tuple[str, str], ConditionVerdict] = {}
-    usable = sorted(
+    usable_entries = sorted(
         (entry for entry in entries if not entry.fault),
         key=lambda entry: (entry.motor, entry.experiment),
     )
-    for (motor, experiment), group_entries in groupby(usable, key=lambda entry: (entry.motor, entry.experiment)):
+    for (motor, experiment), group_entries in groupby(
+        usable_entries, key=lambda entry: (entry.motor, entry.experiment)
+    ):
         report_step(experiment)
-        members = list(group_entries)
-        group_results = [answer for group in by_group(members) if (answer := answer_of(group, options)) is not None]
+        entries_of_experiment = list(group_entries)
+        group_results = [
+            answer for group in by_group(entries_of_experiment) if (answer := answer_of(group, options)) is not None
+        ]
         answers += group_results
         if len({answer.condition for answer in group_results}) > 1:
             verdicts[motor, experiment] = condition_verdict(
@@ -145,7 +149,7 @@ def name_of_runs(paths: Sequence[Path]) -> str:
 
 
 def entry_of(path: Path) -> RunEntry:
-    """Return the entry of a file with its attributes, or with the fault that prevents an analysis."""
+    """Return the entry of a file with its attributes; it has a fault if the file cannot be read or analysed."""
     try:
         with Run.open(path) as run:
             model = run.source("model") or ""
@@ -172,10 +176,10 @@ def checksum_fault(path: Path) -> str:
 def motor_of(model: str) -> str:
     """Return the name of the motor in the text of a model file; empty if the text has none or cannot be parsed."""
     try:
-        data = yamlfile.parse(model).data if model else None
+        content = yamlfile.parse(model).data if model else None
     except InputError:
-        data = None
-    name = data.get("name") if isinstance(data, dict) else None
+        content = None
+    name = content.get("name") if isinstance(content, dict) else None
     return name if isinstance(name, str) else ""
 
 
@@ -198,20 +202,20 @@ def answer_of(entries: Sequence[RunEntry], options: Mapping[str, float]) -> Grou
     If that fails, each run that cannot be analysed by itself gets its fault, and the others are analysed again. The
     result is None if no run is left.
     """
-    first = entries[0]
-    accepted = options_of(first.experiment, options)
+    first_entry = entries[0]
+    accepted_options = options_of(first_entry.experiment, options)
     try:
-        result = analyze_runs([entry.path for entry in entries], **accepted)
+        result = analyze_runs([entry.path for entry in entries], **accepted_options)
     except InputError as joint_fault:
         for entry in entries:
-            entry.fault = fault_of(entry, accepted) if len(entries) > 1 else fault_text(joint_fault, entry.path)
+            entry.fault = fault_of(entry, accepted_options) if len(entries) > 1 else fault_text(joint_fault, entry.path)
         analysable = [entry for entry in entries if not entry.fault]
         if len(analysable) == len(entries):
             for entry in entries:
                 entry.fault = fault_text(joint_fault, entry.path)
             analysable = []
         return answer_of(analysable, options) if analysable else None
-    return GroupResult(first.motor, first.experiment, *first.group, result, tuple(entries))
+    return GroupResult(first_entry.motor, first_entry.experiment, *first_entry.group, result, tuple(entries))
 
 
 def fault_of(entry: RunEntry, options: Mapping[str, Any]) -> str:
@@ -230,27 +234,27 @@ def fault_text(fault: InputError, path: Path) -> str:
 
 def condition_verdict(entries: Sequence[RunEntry], options: Mapping[str, float]) -> ConditionVerdict:
     """Compare the results of an experiment over its conditions, as `leactl stats` does."""
-    accepted = options_of(entries[0].experiment, options)
+    accepted_options = options_of(entries[0].experiment, options)
     try:
-        _, comparisons, refused = compare_all([entry.path for entry in entries], **accepted)
+        _, comparisons, refused = compare_all([entry.path for entry in entries], **accepted_options)
     except InputError as fault:
         return ConditionVerdict((), tuple(fault.faults))
     return ConditionVerdict(tuple(comparisons), tuple(refused))
 
 
 def options_of(experiment: str, options: Mapping[str, float]) -> dict[str, Any]:
-    """Return those of the options that the analysis of an experiment takes."""
-    accepted = taken_by(analysis_of(experiment, experiment))
-    return {name: value for name, value in options.items() if name in accepted}
+    """Return the options without those that the analysis of an experiment does not take."""
+    accepted_names = options_of_analysis(analysis_of(experiment, experiment))
+    return {name: value for name, value in options.items() if name in accepted_names}
 
 
 def check_options(options: Mapping[str, float]) -> None:
-    """Check that an analysis takes each of the options.
+    """Raise if no analysis takes one of the options.
 
     Raises
     ------
-    InputError : a line for each such option.
+    InputError : a line for each option that no analysis takes.
     """
-    accepted = {name for experiment in names() for name in options_of(experiment, options)}
-    if unknown := [name for name in options if name not in accepted]:
-        raise InputError([f"--set {name}: no analysis takes it" for name in unknown])
+    accepted_names = {name for experiment in names() for name in options_of(experiment, options)}
+    if unknown_names := [name for name in options if name not in accepted_names]:
+        raise InputError([f"--set {name}: no analysis takes it" for name in unknown_names])

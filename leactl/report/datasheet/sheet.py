@@ -40,13 +40,13 @@ class Datasheet:
         """Return a section for each motor; two sets with one motor each share one section even if the motors differ."""
         motors_of_sets = [run_set.motors for run_set in self.sets]
         if all(len(motors) == 1 for motors in motors_of_sets):
-            pairs = [tuple(motors[0] for motors in motors_of_sets)]
+            motors_of_sections = [tuple(motors[0] for motors in motors_of_sets)]
         else:
-            pairs = [
+            motors_of_sections = [
                 (motor,) * len(motors_of_sets)
                 for motor in dict.fromkeys(motor for motors in motors_of_sets for motor in motors)
             ]
-        return [section_of(self.sets, motors) for motors in pairs]
+        return [section_of(self.sets, motors) for motors in motors_of_sections]
 
     @property
     def notes(self) -> list[str]:
@@ -58,15 +58,15 @@ class Datasheet:
                 f"runs are of {len(motors)} motors: {', '.join(motors)}; figures of one say nothing of another"
             )
         entries = [entry for run_set in self.sets for entry in run_set.entries]
-        emulated = sum(entry.simulated for entry in entries)
-        if emulated:
+        emulated_count = sum(entry.simulated for entry in entries)
+        if emulated_count:
             notes.append(
-                f"{emulated} of {len(entries)} runs are from an emulated bench: no machine was measured in these"
+                f"{emulated_count} of {len(entries)} runs are from an emulated bench: no machine was measured in these"
             )
-        faulty = [entry for entry in entries if entry.fault]
+        faulty_entries = [entry for entry in entries if entry.fault]
         notes += warnings_of(self.sets)
-        if faulty:
-            notes.append(f"nothing came of {', '.join(entry.label for entry in faulty)}: see the list of runs")
+        if faulty_entries:
+            notes.append(f"nothing came of {', '.join(entry.label for entry in faulty_entries)}: see the list of runs")
         if len(self.sets) > 1:
             notes.append(
                 f"difference: {self.sets[1].name} less {self.sets[0].name}, the two taken as independent; an error that"
@@ -140,11 +140,13 @@ def without_common_condition(sets: Sequence[RunSet], section: Section) -> list[s
             for run_set, motor in zip(sets, section.motors, strict=True)
         ]
         if all(conditions_by_set) and not set.intersection(*map(set, conditions_by_set)):
-            both = " and ".join(
+            sets_text = " and ".join(
                 f"{run_set.name} under {', '.join(conditions)}"
                 for run_set, conditions in zip(sets, conditions_by_set, strict=True)
             )
-            lines.append(f"{experiment}: not compared, measured in {both}; `leactl run --condition` names a condition")
+            lines.append(
+                f"{experiment}: not compared, measured in {sets_text}; `leactl run --condition` names a condition"
+            )
     return lines
 
 
@@ -154,11 +156,11 @@ def section_of(sets: Sequence[RunSet], motors: tuple[str, ...]) -> Section:
     Experiments with an estimate come first, then those whose runs could not be analysed, then those not measured. In
     each of these parts, experiments of the paper come first.
     """
-    in_order = sorted(names(), key=lambda name: (not figures_by_condition(name), name))
-    by_experiment = {name: sorted(rows(sets, motors, name), key=_missing_rank) for name in in_order}
-    with_rows = {name: table_rows for name, table_rows in by_experiment.items() if table_rows}
-    by_rank = sorted(with_rows.items(), key=lambda pair: min(map(_missing_rank, pair[1])))
-    return Section(motors, dict(by_rank), unlisted(sets, motors))
+    experiments = sorted(names(), key=lambda name: (not figures_by_condition(name), name))
+    rows_by_experiment = {name: sorted(rows(sets, motors, name), key=_missing_rank) for name in experiments}
+    present_rows = {name: table_rows for name, table_rows in rows_by_experiment.items() if table_rows}
+    ranked_rows = sorted(present_rows.items(), key=lambda item: min(map(_missing_rank, item[1])))
+    return Section(motors, dict(ranked_rows), unlisted(sets, motors))
 
 
 def _missing_rank(row: DatasheetRow) -> int:

@@ -1,4 +1,4 @@
-"""The run's side of its page: starts the process that serves the page, sends it the run's state, and receives STOP.
+"""The run's side of its page: start the process that serves the page, send it the run's state, and receive STOP.
 
 No client can harm the run: clients connect to `server`, a process of lower priority that holds nothing of the run. The
 run's process accepts no connection and parses no request. Four times a second a thread of the run's process copies the
@@ -34,8 +34,8 @@ from leactl.runner.progress import Progress
 
 STOP_CAUSE: Final = "stopped by the operator: STOP in the run's page"
 LINES_A_SECOND: Final = 4
-MOST_WARNINGS: Final = 50  # that the page shows; the newest ones
-PATIENCE_S: Final = 2.0  # that the server may take to end, beyond LAST_REQUEST_S
+MOST_WARNINGS: Final = 50  # that the page shows: the newest
+PATIENCE_S: Final = 2.0  # time for the server to end, beyond LAST_REQUEST_S
 LISTEN_BACKLOG: Final = 16  # connections that the system queues before they are accepted
 ADDRESS: Final = re.compile(r"\[?(?P<host>[^\[\]]+)\]?:(?P<port>[0-9]{1,5})")
 DRAWN_BY_DEFAULT: Final = ("torque", "velocity", "q_axis_current")  # channels of the test actuator
@@ -65,9 +65,9 @@ class RunPage:
         self._address_text, self._bench = address, bench
         self._token = secrets.token_urlsafe(24)
         self._progress: Progress | None = None
-        self._cause = ""
+        self._stop_cause = ""
         self._ended: Mapping[str, str] | None = None
-        self._ending = threading.Event()
+        self._end_event = threading.Event()
         self.fault = ""  # why the page did not get the state of the run up to its end; empty if it did
         self.url = ""  # of the page, with the token
         self._thread = threading.Thread(target=self._feed_until_end, name="leactl-page", daemon=True)
@@ -105,13 +105,13 @@ class RunPage:
             )
         host = f"[{self._host}]" if self._host.version == 6 else str(self._host)
         self.url = f"http://{host}:{port}/?token={self._token}"
-        names = [host, "localhost"] if self.is_of_this_machine_alone else [host]
-        hosts = [f"{name}:{port}" for name in names] + (names if port == 80 else [])
+        host_names = [host, "localhost"] if self.is_of_this_machine_alone else [host]
+        accepted_hosts = [f"{name}:{port}" for name in host_names] + (host_names if port == 80 else [])
         assert self._server.stdin is not None
         assert self._server.stdout is not None
         self._server_input, self._server_output = self._server.stdin.fileno(), self._server.stdout.fileno()
         os.set_blocking(self._server_input, False)
-        self._unsent = _line({"page": page, "token": self._token, "hosts": hosts})
+        self._unsent = _line({"page": page, "token": self._token, "hosts": accepted_hosts})
         self._thread.start()
         return self
 
@@ -136,16 +136,17 @@ class RunPage:
 
     def stop_cause(self) -> str:
         """Return the cause to stop the run, once STOP was pressed; empty before."""
-        return self._cause
+        return self._stop_cause
 
     def end(self, status: str, reason: str, run: str) -> None:
         """Show how the run ended: status, reason and path of the run file; nothing is shown after that."""
         self._ended = {"status": status, "reason": reason, "run": run}
-        self._ending.set()
+        self._end_event.set()
 
     # -- in the thread ------------------------------------------------------------------------------------------------
 
     def _feed_until_end(self) -> None:
+        """Feed the page until the run ends, then send its ending; if feeding fails, wait for STOP alone."""
         try:
             try:
                 self._feed()
@@ -153,22 +154,22 @@ class RunPage:
                 raise
             except Exception as error:  # noqa: BLE001 (a fault of the page must not end the run)
                 self._note_fault(f"{type(error).__name__}: {error}")
-                while not self._ending.is_set():  # STOP still has to work
+                while not self._end_event.is_set():  # STOP still has to work
                     self._wait_for_stop(1.0 / LINES_A_SECOND)
             self._send_ending()
         except OSError:
             self._note_fault("its server has ended")
 
     def _note_fault(self, reason: str) -> None:
-        """Store the first fault of the page, for the command and for the run's file."""
+        """Store the first fault of the page for the command and the run's file, which report it."""
         self.fault = self.fault or f"the run's page is no longer fed: {reason}"
         if self._progress is not None:
             self._progress.view_fault = self.fault
 
     def _feed(self) -> None:
         """Send the channels once, then the run's state and its newest row, until the run ends."""
-        progress, time_s = None, -math.inf
-        while not self._ending.is_set():
+        progress, sent_time_s = None, -math.inf
+        while not self._end_event.is_set():
             self._wait_for_stop(1.0 / LINES_A_SECOND)
             if progress is None:
                 progress = self._progress
@@ -176,14 +177,14 @@ class RunPage:
                     self._unsent += _line({"channels": channels(progress.streams)})
             if not self._send() or progress is None:
                 continue
-            line: dict[str, Any] = {"run_state": run_state(progress, self._cause)}
-            if progress.time_s > time_s:
-                time_s = progress.time_s
-                line["row"] = [round(time_s, 6), *newest_values(progress)]
-            self._unsent += _line(line)
+            message: dict[str, Any] = {"run_state": run_state(progress, self._stop_cause)}
+            if progress.time_s > sent_time_s:
+                sent_time_s = progress.time_s
+                message["row"] = [round(sent_time_s, 6), *newest_values(progress)]
+            self._unsent += _line(message)
             self._send()
         if progress is not None:
-            self._unsent += _line({"run_state": run_state(progress, self._cause)})
+            self._unsent += _line({"run_state": run_state(progress, self._stop_cause)})
 
     def _send_ending(self) -> None:
         """Send how the run ended; wait up to PATIENCE_S / 2 at a time for room in the pipe, then give up."""
@@ -200,12 +201,12 @@ class RunPage:
         ------
         BrokenPipeError : the server has ended.
         """
-        if self._cause:
-            self._ending.wait(seconds)
+        if self._stop_cause:
+            self._end_event.wait(seconds)
         elif select.select([self._server_output], [], [], seconds)[0]:
             if os.read(self._server_output, len(STOP)) != STOP:
                 raise BrokenPipeError
-            self._cause = STOP_CAUSE
+            self._stop_cause = STOP_CAUSE
 
     def _send(self) -> bool:
         """Write the unsent bytes as far as the pipe takes them; return whether all are written."""
@@ -224,20 +225,20 @@ def _parsed_address(text: str) -> tuple[ipaddress.IPv4Address | ipaddress.IPv6Ad
     """
     if os.name != "posix" or not hasattr(os, "set_blocking"):  # Windows lets no process inherit a listening socket
         raise InputError("--web: the page of a run is served on POSIX systems alone")
-    parts = ADDRESS.fullmatch(text)
-    if parts is None or int(parts["port"]) > 65535:
+    match = ADDRESS.fullmatch(text)
+    if match is None or int(match["port"]) > 65535:
         raise InputError(
             f"--web {text}: ADDRESS:PORT was expected, such as {FREE_PORT_HERE}, [::1]:0 or 192.168.1.20:8080"
         )
     try:
-        host = ipaddress.ip_address(parts["host"])
+        host = ipaddress.ip_address(match["host"])
     except ValueError:
         raise InputError(
             f"--web {text}: an IP address of this machine was expected, such as 127.0.0.1, not the name of one"
         ) from None
     if host.is_unspecified or host.is_multicast:
         raise InputError(f"--web {text}: the one address at which the page is to be opened was expected")
-    return host, int(parts["port"])
+    return host, int(match["port"])
 
 
 def channels(streams: Mapping[str, Sequence[ChannelSpec]]) -> list[dict[str, Any]]:
@@ -262,10 +263,10 @@ def _quantity(spec: ChannelSpec) -> str:
 
 def newest_values(progress: Progress) -> list[float | None]:
     """Return the newest value of each channel, in the order of `channels`; None where the channel has no number."""
-    rows = {"loop": progress.values, **progress.device_values}
+    row_by_stream = {"loop": progress.values, **progress.device_values}
     values: list[float | None] = []
     for stream, specs in progress.streams.items():
-        row = rows.get(stream, ())
+        row = row_by_stream.get(stream, ())
         values += [_number(row[k]) if k < len(row) else None for k in range(len(specs))]
     return values
 
@@ -273,7 +274,7 @@ def newest_values(progress: Progress) -> list[float | None]:
 def run_state(progress: Progress, stop_cause: str) -> dict[str, Any]:
     """Return step, times, warnings and winding temperatures of a run, as `page.js` takes them."""
     estimates, bounds = progress.windings
-    to_limit = progress.time_to_limit()
+    seconds_to_limit = progress.time_to_limit()
     return {
         "title": progress.title,
         "step": progress.step,
@@ -292,7 +293,7 @@ def run_state(progress: Progress, stop_cause: str) -> dict[str, Any]:
                 "estimate_degC": _number(estimate),
                 "bound_degC": _number(bounds[role]),
                 "limit_degC": _number(progress.winding_limit),
-                "to_limit_s": _number(to_limit.get(role, math.inf)),
+                "to_limit_s": _number(seconds_to_limit.get(role, math.inf)),
             }
             for role, estimate in estimates.items()
         ],
@@ -305,4 +306,5 @@ def _number(value: float) -> float | None:
 
 
 def _line(message: Mapping[str, Any]) -> bytes:
+    """Return a message as one line of JSON in UTF-8."""
     return json.dumps(message).encode() + b"\n"

@@ -25,16 +25,16 @@ from urllib.parse import parse_qs
 
 from leactl.report.web import LAST_REQUEST_S, STOP
 
-MOST_ROWS: Final = 240  # that are kept: a minute of them, at four a second
-MOST_CONNECTIONS: Final = 32  # at a time; one more closes the oldest
+MOST_ROWS: Final = 240  # that are kept: those of a minute, at four a second
+MOST_CONNECTIONS: Final = 32  # at a time; a further connection closes the oldest
 MOST_ACCEPTED_PER_S: Final = 40  # connections; a page makes two a second
-MOST_REQUEST_BYTES: Final = 16384  # of a request
-MOST_DRAINING_READS: Final = 4  # of MOST_REQUEST_BYTES each, whose bytes are dropped once the answer is sent
+MOST_REQUEST_BYTES: Final = 16384
+MOST_DRAINING_READS: Final = 4  # after the answer, of up to MOST_REQUEST_BYTES each, which are dropped
 DEADLINE_S: Final = 5.0  # from a connection's start to its end
 PART_PAUSE_S: Final = 0.05  # between two reads of a request that comes in parts
-NICENESS: Final = 10  # the control loop comes first where cores are short
+NICENESS: Final = 10  # so that the control loop comes first if cores are short
 WATCHED_S: Final = 3.0  # since the last request with the token; a page that asked within that time counts as open
-MOST_LINE_BYTES: Final = 1 << 20  # bytes of a line on stdin
+MOST_LINE_BYTES: Final = 1 << 20  # of a line on stdin
 UNKNOWN_ENDING: Final = "nothing comes from the run any more; its terminal or its file tell how it ended"
 HEADERS: Final = {
     "Cache-Control": "no-store",
@@ -68,13 +68,13 @@ class PageState:
             self._row_count += 1
             self._row_time_s = time.monotonic()
 
-    def as_json(self, since: int) -> dict[str, Any]:
-        """Return the run's state, with the rows from number `since` on that are kept; the channels only if it is 0."""
-        missing_rows = min(max(self._row_count - since, 0), len(self._rows))
+    def as_json(self, first_row: int) -> dict[str, Any]:
+        """Return the run's state with the kept rows from number `first_row` on; the channels only if that is 0."""
+        unseen_count = min(max(self._row_count - first_row, 0), len(self._rows))
         return {
             **self.run_state,
-            "channels": self.channels if since == 0 else None,
-            "rows": list(self._rows)[len(self._rows) - missing_rows :],
+            "channels": self.channels if first_row == 0 else None,
+            "rows": list(self._rows)[len(self._rows) - unseen_count :],
             "next": self._row_count,
             "silent_s": time.monotonic() - self._row_time_s if self._row_count else 0.0,
             "ended": self.ended,
@@ -103,13 +103,13 @@ class HttpExchange(BaseHTTPRequestHandler):
     METHODS: Final = {"/": "GET", "/state": "GET", "/stop": "POST"}
 
     def __init__(self, request: bytes, site: Site) -> None:
-        self.rfile, self.wfile = io.BytesIO(request), (written := io.BytesIO())
+        self.rfile, self.wfile = io.BytesIO(request), (output := io.BytesIO())
         self._site = site
         self.command, self.requestline, self.request_version = "", "", self.protocol_version
         self.raw_requestline = self.rfile.readline()
         if self.parse_request():  # else the library has called send_error
             self._answer()
-        self.answer = written.getvalue()
+        self.answer = output.getvalue()
 
     def _answer(self) -> None:
         """Write the answer to a parsed request: a refusal, the page, the state as JSON, or that STOP was sent."""
@@ -151,12 +151,13 @@ class HttpExchange(BaseHTTPRequestHandler):
         """Answer a request that is no HTTP by its status alone; the library's text would repeat parts of it."""
         self._send(HTTPStatus(code), HTTPStatus(code).phrase)
 
-    def _send(self, status: HTTPStatus, text: str, kind: str = "text/plain") -> None:
+    def _send(self, status: HTTPStatus, text: str, media_type: str = "text/plain") -> None:
+        """Write a response with all headers and a text as its body."""
         body = text.encode(errors="replace")
         self.send_response_only(status)
         for name, value in HEADERS.items():
             self.send_header(name, value)
-        self.send_header("Content-Type", f"{kind}; charset=utf-8")
+        self.send_header("Content-Type", f"{media_type}; charset=utf-8")
         self.send_header("Content-Length", str(len(body)))
         if status is HTTPStatus.UNAUTHORIZED:
             self.send_header("WWW-Authenticate", "Bearer")
@@ -184,7 +185,7 @@ async def serve(listener: socket.socket, site: Site) -> None:
                 next(iter(conversations)).cancel()
             task = loop.create_task(_converse(connection, site))
             conversations[task] = None
-            task.add_done_callback(lambda done: conversations.pop(done, None))
+            task.add_done_callback(lambda ended_task: conversations.pop(ended_task, None))
         await asyncio.sleep(1.0 / MOST_ACCEPTED_PER_S)
 
 
@@ -197,10 +198,10 @@ async def _converse(connection: socket.socket, site: Site) -> None:
             while b"\r\n\r\n" not in request and len(request) <= MOST_REQUEST_BYTES:
                 if request:
                     await asyncio.sleep(PART_PAUSE_S)
-                part = await loop.sock_recv(connection, MOST_REQUEST_BYTES)
-                if not part:
+                received = await loop.sock_recv(connection, MOST_REQUEST_BYTES)
+                if not received:
                     return
-                request += part
+                request += received
             await loop.sock_sendall(connection, answer(request, site))
             connection.shutdown(socket.SHUT_WR)
             # a socket that is closed with unread bytes resets the connection, and the client may lose the answer
@@ -210,7 +211,7 @@ async def _converse(connection: socket.socket, site: Site) -> None:
 
 
 async def _follow_the_run(feed: asyncio.StreamReader, site: Site) -> None:
-    """Take the lines of the feed until it ends, then leave an open page LAST_REQUEST_S to ask how the run ended."""
+    """Take the lines of the feed until it ends; then let an open page ask how the run ended, for LAST_REQUEST_S."""
     while line := await feed.readline():
         site.state.take(json.loads(line))
     if site.state.ended is None:
@@ -220,6 +221,7 @@ async def _follow_the_run(feed: asyncio.StreamReader, site: Site) -> None:
 
 
 async def _main(listener: socket.socket) -> None:
+    """Serve the page from the first line of stdin on, until the run has ended."""
     feed = asyncio.StreamReader(limit=MOST_LINE_BYTES)
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(feed), sys.stdin)
     site = Site(**json.loads(await feed.readline()))
