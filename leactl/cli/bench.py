@@ -6,14 +6,14 @@ from pathlib import Path
 import typer
 
 from leactl.cli import bench_by_hand, bench_check, bench_scan, confirmed
-from leactl.cli.completion import benches
+from leactl.cli.completion import complete_bench
 from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
 from leactl.errors import AcceptanceFailed, DeviceError, SafetyTrip
 
 app = group_of_commands()
 RUNS = Path("runs")  # default folder of the run files of `leactl run`
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
-SHIPPED = typer.Argument(help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches)
+SHIPPED = typer.Argument(help="Name of a shipped bench, or a path to a .yaml.", autocompletion=complete_bench)
 
 
 @app.command("list", epilog=examples("bench list"))
@@ -29,7 +29,7 @@ def show(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
     """Show a bench's file as it is written, to copy and change."""
     from leactl.bench.benchfile import names, shipped_file
 
-    if bench in names():  # a shipped bench has no faults, so that no driver has to be loaded to check its settings
+    if bench in names():  # it has no faults: no driver has to be loaded to check its settings
         document = shipped_file(bench)
     else:
         from leactl.runner.checked_bench import load_checked
@@ -60,7 +60,7 @@ def model(bench: str = SHIPPED, as_json: bool = AS_JSON) -> None:
 )
 def reset(
     bench: str = typer.Argument(
-        help="The bench's name as in the message of the trip, or a path to a .yaml.", autocompletion=benches
+        help="The bench's name as in the message of the trip, or a path to a .yaml.", autocompletion=complete_bench
     ),
     yes: bool = typer.Option(False, "--yes", help="Do not ask."),
     as_json: bool = AS_JSON,
@@ -83,14 +83,16 @@ def reset(
     if not (yes or confirmed("The cause is mended and the bench may move again?")):
         raise Stopped(f"not confirmed; '{name}' stays tripped (--yes confirms without a question)")
     bench_reset.release(bench, name, latches)
-    causes = [{"cause": trip.cause, "time": trip.time, "run": trip.run} for trip in trips]
-    answer = {"bench": name, "tripped": False, "released": causes[0], "all_released": causes}
+    trips_json = [{"cause": trip.cause, "time": trip.time, "run": trip.run} for trip in trips]
+    answer = {"bench": name, "tripped": False, "released": trips_json[0], "all_released": trips_json}
     typer.echo(json.dumps(answer) if as_json else f"{name}: released")
 
 
 @app.command(epilog=examples("bench serve emulated --bus can0=pty --setup free", ends=(DeviceError,)))
 def serve(
-    bench: str = typer.Argument("emulated", help="An emulated bench, by name or as a .yaml.", autocompletion=benches),
+    bench: str = typer.Argument(
+        "emulated", help="An emulated bench, by name or as a .yaml.", autocompletion=complete_bench
+    ),
     bus: list[str] = typer.Option(
         [], metavar="NAME=INTERFACE:CHANNEL", help="Put a bus elsewhere; can0=pty for slcan."
     ),
@@ -109,21 +111,21 @@ def serve(
 
     file, devices, _document = load_checked(bench)
     file = file.model_copy(update={"buses": file.buses | changed_buses(file, bus)})
-    emulated = EmulatedBench(file, with_run_folders(devices, RUNS), setup, condition, seed)
-    with handled_signals() as stop, bridge_buses(file, emulated.wires, emulated.serial_wires) as bridges:
-        chips = stub_chips(file, emulated)
+    emulated_bench = EmulatedBench(file, with_run_folders(devices, RUNS), setup, condition, seed)
+    with handled_signals() as stop, bridge_buses(file, emulated_bench.wires, emulated_bench.serial_wires) as bridges:
+        chips = stub_chips(file, emulated_bench)
         for name, bridge in bridges.items():
             typer.echo(f"{name}: {bridge.address}")
-        for name, served in chips.items():
-            if served:
+        for name, chips_of_bus in chips.items():
+            if chips_of_bus:
                 typer.echo(f"{name}: i2c-stub")
             else:
                 typer.echo(f"{name}: is not served; I2C needs the kernel's i2c-stub at that number", err=True)
-        for text in emulated.inactive_faults:
+        for text in emulated_bench.inactive_faults:
             typer.echo(text, err=True)
         typer.echo("serving; Ctrl-C ends it")
-        all_chips = [chip for served in chips.values() for chip in served]
-        serve_until(emulated.time, list(bridges.values()), all_chips, lambda: bool(stop.cause))
+        all_chips = [chip for chips_of_bus in chips.values() for chip in chips_of_bus]
+        serve_until(emulated_bench.time, list(bridges.values()), all_chips, lambda: bool(stop.cause))
 
 
 @app.command(epilog=examples("bench faults", "bench faults frozen_drive"))
@@ -132,18 +134,18 @@ def faults(name: str = typer.Argument("", help="One fault, to be explained."), a
     from leactl.emulation.faults import find_fault, known_faults
     from leactl.report.terminal import list_line
 
-    chosen = {name: find_fault(name)} if name else known_faults()
-    described = [fault.described(key) for key, fault in sorted(chosen.items())]
+    chosen_faults = {name: find_fault(name)} if name else known_faults()
+    descriptions = [fault.described(key) for key, fault in sorted(chosen_faults.items())]
     if as_json:
-        typer.echo(json.dumps({"faults": described}))
+        typer.echo(json.dumps({"faults": descriptions}))
         return
-    width = max(len(fault["fault"]) for fault in described)
-    for fault in described:
+    width = max(len(fault["fault"]) for fault in descriptions)
+    for fault in descriptions:
         typer.echo(list_line(f"{fault['fault']:<{width}} ", fault["summary"]))
     if name:
-        for key, text in described[0]["parameters"].items():
+        for key, text in descriptions[0]["parameters"].items():
             typer.echo(list_line(f"  {key:<18} ", text))
-        typer.echo(f"\nemulated:\n  faults:\n    - {described[0]['example']}")
+        typer.echo(f"\nemulated:\n  faults:\n    - {descriptions[0]['example']}")
 
 
 app.command(

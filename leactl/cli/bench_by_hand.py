@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from leactl.cli import TRACE, finite, print_answer, traced_to
-from leactl.cli.completion import benches
+from leactl.cli.completion import complete_bench
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 LONGEST_REMARK = 1000  # characters
 READ_S = 2.0  # duration of `bench read`
 FOLLOW_INTERVAL_S = 1.0  # between two lines of `bench read --follow`
-END_TIMEOUT_S = 20.0  # wait for the end of a run: up to a second for each of three devices, the remainder for its file
+END_TIMEOUT_S = 20.0  # time for a run to end: a second for each of three devices at most, and its file
 
-BENCH = typer.Argument("emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches)
+BENCH = typer.Argument("emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=complete_bench)
 RUNNING = typer.Argument(
-    "", help="A bench by name or as a .yaml; without one, every run that this user sees.", autocompletion=benches
+    "", help="A bench by name or as a .yaml; without one, every run that this user sees.", autocompletion=complete_bench
 )
 SETUP = typer.Option("", help="free, locked, coupled or heated; the bench file's own, else coupled.")
 OUT = typer.Option(Path("runs/by-hand"), help="Directory of the run file.")
@@ -55,16 +55,20 @@ def stop(
         except DeviceError as fault:
             faults.append(str(fault))
     deadline = time.monotonic() + wait_s
-    ends = [_ending_json(run, run.wait(deadline), wait_s) for run in reached_runs]
-    faults += [f"{end['bench']}: {end['doubt']}" for end in ends if end["doubt"]]
+    endings = [_ending_json(run, run.wait(deadline), wait_s) for run in reached_runs]
+    faults += [f"{ending_json['bench']}: {ending_json['doubt']}" for ending_json in endings if ending_json["doubt"]]
     lines = [] if runs else [f"nothing runs on {bench}" if bench else "nothing runs"]
-    for end in ends:
-        if not end["doubt"]:
-            ending = f"{end['status']}: {end['reason']}; {end['run']}" if end["ended"] else "its file is still written"
-            lines.append(f"{end['bench']}: every device confirmed safe; {ending}")
+    for ending_json in endings:
+        if not ending_json["doubt"]:
+            ending_text = (
+                f"{ending_json['status']}: {ending_json['reason']}; {ending_json['run']}"
+                if ending_json["ended"]
+                else "its file is still written"
+            )
+            lines.append(f"{ending_json['bench']}: every device confirmed safe; {ending_text}")
     stdout_error = None
     if as_json or lines:
-        stdout_error = print_answer(json.dumps({"runs": ends}) if as_json else "\n".join(lines))
+        stdout_error = print_answer(json.dumps({"runs": endings}) if as_json else "\n".join(lines))
     if faults:
         raise DeviceError("; ".join(faults))
     if stdout_error is not None:
@@ -92,8 +96,8 @@ def remark(
     _ask_each(bench, as_json, lambda run: run.remark(text), "records it")
 
 
-def _ask_each(bench: str, as_json: bool, ask: "Callable[[RunUnderway], None]", answer: str) -> None:
-    """Call `ask` with every run on a bench, and print the runs that were reached, each followed by `answer`.
+def _ask_each(bench: str, as_json: bool, ask: "Callable[[RunUnderway], None]", confirmation: str) -> None:
+    """Call `ask` with every run on a bench, and print the runs that were reached, each followed by `confirmation`.
 
     Raises
     ------
@@ -115,7 +119,7 @@ def _ask_each(bench: str, as_json: bool, ask: "Callable[[RunUnderway], None]", a
             run.close()
     runs_json = [{"bench": run.bench, "protocol": run.protocol, "process": run.process} for run in reached_runs]
     typer.echo(
-        json.dumps({"runs": runs_json}) if as_json else "\n".join(f"{run} {answer}" for run in reached_runs),
+        json.dumps({"runs": runs_json}) if as_json else "\n".join(f"{run} {confirmation}" for run in reached_runs),
         nl=bool(reached_runs),
     )
     if not runs:
@@ -134,40 +138,40 @@ def _runs_on(bench: str, runs: "list[RunUnderway]", faults: list[str]) -> "list[
     if not bench:
         return runs
     path = str(Path(bench).resolve())
-    matching = [run for run in runs if bench == run.bench or path == run.file]
-    if matching:
-        return matching
+    matching_runs = [run for run in runs if bench == run.bench or path == run.file]
+    if matching_runs:
+        return matching_runs
     from leactl.bench.benchfile import load
 
     lock_fault = unseen(bench)
     name = bench if lock_fault else load(bench)[0].name
-    matching = [run for run in runs if run.bench == name]
-    lock_fault = lock_fault or ("" if matching else unseen(name))
+    matching_runs = [run for run in runs if run.bench == name]
+    lock_fault = lock_fault or ("" if matching_runs else unseen(name))
     if lock_fault:
         faults.append(lock_fault)
-    return matching
+    return matching_runs
 
 
-def _ending_json(run: "RunUnderway", ended: bool, waited_s: float) -> dict[str, Any]:
-    """Return how a run ended, and why its safe state is in doubt, as JSON takes them."""
-    facts = run.facts()
-    safe = facts.get("safe", {})
-    unsafe = [f"{name}: {device['detail']}" for name, device in safe.items() if not device["confirmed"]]
+def _ending_json(run: "RunUnderway", has_ended: bool, waited_s: float) -> dict[str, Any]:
+    """Return how a run ended, and why its safe state is in doubt, as a JSON object."""
+    run_facts = run.facts()
+    safe = run_facts.get("safe", {})
+    unsafe_details = [f"{name}: {device['detail']}" for name, device in safe.items() if not device["confirmed"]]
     doubt = ""
-    if unsafe:
-        doubt = "; ".join(unsafe)
-    elif not safe and ended:
-        doubt = facts.get("reason") or f"process {run.process} died without a word"
+    if unsafe_details:
+        doubt = "; ".join(unsafe_details)
+    elif not safe and has_ended:
+        doubt = run_facts.get("reason") or f"process {run.process} died without a word"
     elif not safe:
         doubt = f"process {run.process} has not answered within {waited_s:g} s"
     return {
         "bench": run.bench,
         "protocol": run.protocol,
         "process": run.process,
-        "ended": ended,
-        "status": facts.get("status", ""),
-        "reason": facts.get("reason", ""),
-        "run": facts.get("run", ""),
+        "ended": has_ended,
+        "status": run_facts.get("status", ""),
+        "reason": run_facts.get("reason", ""),
+        "run": run_facts.get("run", ""),
         "safe": safe,
         "doubt": f"NOT CONFIRMED SAFE, switch off the supply: {doubt}" if doubt else "",
     }
@@ -227,7 +231,7 @@ def read(
             summaries = readings(run)
     stdout_error = None
     if as_json or summaries:
-        body = outcome.as_json() | {"channels": [asdict(item) for item in summaries]}
+        body = outcome.as_json() | {"channels": [asdict(summary) for summary in summaries]}
         stdout_error = print_answer(json.dumps(body) if as_json else table(summaries))
     finish(outcome, [], stdout_error)
 
@@ -264,8 +268,8 @@ def _follow(
     follower = Follower(ReadingSampler(request.bench.name, streams_of(request), channels), every_s, as_json)
     warn_overdue(request)
     with signals_kept_to_the_end():
-        with traced_to(trace) as traced, keyboard(shown=sys.stderr.isatty()) as keys:
-            request = replace(request, trace=traced)
+        with traced_to(trace) as wire_trace, keyboard(shown=sys.stderr.isatty()) as keys:
+            request = replace(request, trace=wire_trace)
             outcome = execute(request, _never_confirmed, follower.watch, [keys.pressed, follower.stop_cause])
         stdout_error = follower.stdout_error
         if as_json and stdout_error is None:
@@ -279,7 +283,7 @@ def _follow(
 
 
 def _never_confirmed(_question: str) -> "Callable[[], bool]":
-    """Leave the question unanswered: the prompt of an endless reading is never confirmed, so that it goes on."""
+    """Return a function that never confirms: the prompt of an endless reading stays open, so that it goes on."""
     return lambda: False
 
 
@@ -344,8 +348,8 @@ def jog(
     from leactl.runfile.read.reader import Run
     from leactl.runner.request import prepare_by_hand
 
-    options = {Mode.CURRENT: current, Mode.VELOCITY: velocity, Mode.ANGLE: angle}
-    setpoints = [(mode, value) for mode, value in options.items() if value is not None]
+    value_by_mode = {Mode.CURRENT: current, Mode.VELOCITY: velocity, Mode.ANGLE: angle}
+    setpoints = [(mode, value) for mode, value in value_by_mode.items() if value is not None]
     if len(setpoints) != 1:
         raise InputError(f"one of --current, --velocity, --angle was expected, {len(setpoints)} were given")
     motion = Jog(role, *setpoints[0], hold_s, rate)
@@ -360,14 +364,14 @@ def jog(
     # angles of a protocol are absolute, so that they can be checked before a drive moves
     name, steps = ("read", reading_steps(0.2)) if motion.mode is Mode.ANGLE else ("jog", motion.steps())
     request = prepare_by_hand(name, steps, bench, setup, out, realtime, served, bus)
-    with traced_to(trace) as traced:
+    with traced_to(trace) as wire_trace:
         if motion.mode is Mode.ANGLE:
-            reading = perform(replace(request, trace=traced))
+            reading = perform(replace(request, trace=wire_trace))
             finish(reading, [], None)
             with Run.open(reading.path) as run:
                 present_angle = float(run.channel("angle", role).values[-1])
             request = prepare_by_hand("jog", motion.steps(present_angle), bench, setup, out, realtime, served, bus)
-        outcome = perform(replace(request, trace=traced))
+        outcome = perform(replace(request, trace=wire_trace))
     finish(outcome, [], print_answer(json.dumps(outcome.as_json()) if as_json else ending_line(outcome)))
 
 
@@ -410,5 +414,5 @@ def _perform(
     from leactl.runner.request import prepare_by_hand
 
     request = prepare_by_hand(name, steps, bench, setup, out, realtime, served, bus, everything)
-    with traced_to(trace) as traced:
-        return perform(replace(request, trace=traced))
+    with traced_to(trace) as wire_trace:
+        return perform(replace(request, trace=wire_trace))

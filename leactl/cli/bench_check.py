@@ -7,9 +7,9 @@ import typer
 
 from leactl.cli import TRACE, confirmed, finite, print_answer, traced_to
 from leactl.cli.bench_by_hand import AS_JSON, BUS, OUT, REALTIME, SERVED, SETUP
-from leactl.cli.completion import benches
+from leactl.cli.completion import complete_bench
 
-BENCH = typer.Argument(help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches)
+BENCH = typer.Argument(help="Name of a shipped bench, or a path to a .yaml.", autocompletion=complete_bench)
 
 
 def check(
@@ -72,9 +72,11 @@ def _check_file(bench: str, as_json: bool) -> None:
     interlocks = bench_file.interlocks.shown()
     calibration_warnings = overdue(devices)
     if as_json:
-        rows = [{"name": d.name, "driver": d.entry.driver, "role": d.entry.role} | d.entry.facts for d in devices]
+        devices_json = [
+            {"name": d.name, "driver": d.entry.driver, "role": d.entry.role} | d.entry.facts for d in devices
+        ]
         limits = bench_file.limits.model_dump(exclude_none=True)
-        body = {"bench": bench_file.name, "devices": rows, "limits": limits, "interlocks": interlocks}
+        body = {"bench": bench_file.name, "devices": devices_json, "limits": limits, "interlocks": interlocks}
         typer.echo(json.dumps(body | {"overdue": calibration_warnings}))
         return
     for name, text in calibration_warnings.items():
@@ -125,23 +127,23 @@ def _examine(
     if turning_run is not None and not (reading_run.in_process or yes or sys.stdin.isatty()):
         raise InputError("a real bench is asked for before it moves, and stdin is no terminal; --yes agrees")
     question = f"{turning_run[1] if turning_run else ''}. Keep clear of the shaft. Go on?"
-    with traced_to(trace) as traced:
-        reading_run = replace(reading_run, trace=traced)
+    with traced_to(trace) as wire_trace:
+        reading_run = replace(reading_run, trace=wire_trace)
         if turning_run is not None:
-            turning_run = (replace(turning_run[0], trace=traced), turning_run[1])
-        examined = check_bench(
+            turning_run = (replace(turning_run[0], trace=wire_trace), turning_run[1])
+        examination = check_bench(
             reading_run,
             turning_run,
             perform,
             agrees=lambda: reading_run.in_process or yes or confirmed(question),
         )
-    text = json.dumps(examined.as_json()) if as_json else "\n".join(lines(examined.statements))
-    stdout_error = print_answer(encodable(text, encoding_of_stdout()))
-    if turning_run is not None and len(examined.outcomes) < 2:
+    answer = json.dumps(examination.as_json()) if as_json else "\n".join(lines(examination.statements))
+    stdout_error = print_answer(encodable(answer, encoding_of_stdout()))
+    if turning_run is not None and len(examination.outcomes) < 2:
         typer.echo("leactl: nothing was moved", err=True)
-    for note in dict.fromkeys(note for outcome in examined.outcomes for note in outcome.notes):
+    for note in dict.fromkeys(note for outcome in examination.outcomes for note in outcome.notes):
         typer.echo(f"leactl: {note}", err=True)
-    if (error := examined.end()) is not None:
+    if (error := examination.end()) is not None:
         raise error
     if stdout_error is not None:
         raise stdout_error

@@ -42,33 +42,34 @@ def scan(
         raise InputError("--json and --yaml are both given; one was expected")
     wires_are_named = can or i2c or serial or lan
     wires = named_wires(can, i2c, serial, lan, bitrate) if wires_are_named else wires_of_this_machine()
-    scanned: list[tuple[ScannedWire, WireReport]] = []
-    end: DeviceError | Stopped | None = None
+    scan_results: list[tuple[ScannedWire, WireReport]] = []
+    end_error: DeviceError | Stopped | None = None
     with handled_signals() as stop:
         try:
             for wire in wires:
-                scanned.append((wire, WireReport(wire.shown)))
-                scan(wire, scanned[-1][1], Watcher(partial(_show, wire.shown), stop.check))
+                scan_results.append((wire, WireReport(wire.shown)))
+                scan(wire, scan_results[-1][1], Watcher(partial(_show, wire.shown), stop.check))
         except Stopped as error:
-            end = error
-    lines = list(scan_report.lines(scanned))
+            end_error = error
+    lines = list(scan_report.lines(scan_results))
     if not wires:
         lines = ["this machine has no CAN interface, I2C bus or serial port; see: leactl doctor"]
     if as_yaml:
         print("\n".join(lines), file=sys.stderr)
-    text = scan_report.bench_file_part(scanned) if as_yaml else "\n".join(lines)
+    answer = scan_report.bench_file_part(scan_results) if as_yaml else "\n".join(lines)
     if as_json:
-        text = json.dumps(scan_report.as_json(scanned))
-    stdout_error = print_answer(text.rstrip("\n")) if text else None
-    faults = [report.fault for _wire, report in scanned if report.fault]
-    end = end or (DeviceError(faults.pop()) if faults else None)
-    if end is not None:
+        answer = json.dumps(scan_report.answer(scan_results))
+    stdout_error = print_answer(answer.rstrip("\n")) if answer else None
+    faults = [report.fault for _wire, report in scan_results if report.fault]
+    end_error = end_error or (DeviceError(faults.pop()) if faults else None)
+    if end_error is not None:
         for fault in faults:
-            end.add_note(fault)
-        raise end
+            end_error.add_note(fault)
+        raise end_error
     if stdout_error is not None:
         raise stdout_error
 
 
 def _show(wire: str, text: str) -> None:
+    """Print on stderr what is asked on a wire."""
     print(f"{wire}: {text} ...", file=sys.stderr, flush=True)

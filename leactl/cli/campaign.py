@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from leactl.cli import print_answer
-from leactl.cli.completion import campaigns
+from leactl.cli.completion import complete_campaign
 from leactl.cli.helptext import ON_A_BENCH, WholeSentences, examples, group_of_commands
 from leactl.cli.run import perform
 from leactl.errors import AcceptanceFailed, Stopped
@@ -36,7 +36,7 @@ class RunByDefault(WholeSentences):
 app = group_of_commands(RunByDefault)
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 CAMPAIGN = typer.Argument(
-    metavar="CAMPAIGN", help="Name of a shipped campaign, or a path to a .yaml.", autocompletion=campaigns
+    metavar="CAMPAIGN", help="Name of a shipped campaign, or a path to a .yaml.", autocompletion=complete_campaign
 )
 VARIANT = typer.Option("", help="Take the campaign's variant of this name.")
 SEED = typer.Option(None, min=0, max=2**63 - 1, help="Seed instead of the campaign's.")
@@ -81,7 +81,7 @@ def status(
     from leactl.report.campaign import campaign_state_text
     from leactl.runner.campaign.folder import busy, journal_and_progress
 
-    campaign, folder, entries = _read(name, variant, seed, out)
+    campaign, folder, entries = _read_campaign(name, variant, seed, out)
     journal, progress = journal_and_progress(campaign, entries, folder)
     body = {
         "campaign": campaign.name,
@@ -90,17 +90,17 @@ def status(
         "under_way": busy(folder),
         "finished": len(progress.finished.keys() & {entry.cell.key for entry in entries}),
         "runs": [
-            _about(entry)
+            _run_json(entry)
             | {
                 "finished": entry.cell.key in progress.finished,
-                "file": str(file.path) if (file := progress.finished.get(entry.cell.key)) else None,
+                "file": str(run_file.path) if (run_file := progress.finished.get(entry.cell.key)) else None,
                 "unmet": list(finished_run.unmet) if (finished_run := journal.finished.get(entry.cell.key)) else [],
             }
             for entry in entries
         ],
         "lost": dict(progress.lost),
         "changed": list(progress.changed),
-        "unfinished": [str(file.path) for file in progress.unfinished],
+        "unfinished": [str(run_file.path) for run_file in progress.unfinished],
     }
     typer.echo(json.dumps(body) if as_json else campaign_state_text(body))
 
@@ -140,14 +140,14 @@ def run(
     from leactl.runner.campaign.folder import resumable
     from leactl.runner.stop_requests import signals_kept_to_the_end
 
-    campaign, folder, entries = _read(name, variant, seed, out, operator, realtime, served, bus)
+    campaign, folder, entries = _read_campaign(name, variant, seed, out, operator, realtime, served, bus)
     if dry_run:
         check_folder(folder)
         _journal, progress = resumable(campaign, entries, folder, accept_changes, redo_lost)
-        expected = previews(entries)
+        preview_by_cell = previews(entries)
         rows = [
-            _about(entry)
-            | demands(expected[entry.cell.step, entry.cell.condition])
+            _run_json(entry)
+            | demands(preview_by_cell[entry.cell.step, entry.cell.condition])
             | {"finished": entry.cell.key in progress.finished}
             for entry in entries
         ]
@@ -157,27 +157,27 @@ def run(
     attended = sys.stdin is not None and sys.stdin.isatty()
     options = CampaignOptions(perform, _tell, attended, yes, cold, redo_lost, accept_changes)
     with signals_kept_to_the_end():
-        ended = conduct(campaign, entries, folder, options)
-    finished_count = len(ended.journal.finished)
-    files = {key: str(folder / f"{finished_run.run_id}.h5") for key, finished_run in ended.journal.finished.items()}
+        ending = conduct(campaign, entries, folder, options)
+    finished_count = len(ending.journal.finished)
+    files = {key: str(folder / f"{finished_run.run_id}.h5") for key, finished_run in ending.journal.finished.items()}
     if as_json:
-        about = {"campaign": campaign.name, "variant": variant, "folder": str(folder)}
-        reason = str(ended.error).splitlines()[0] if ended.error else ""
-        counts = {"finished": finished_count, "of": ended.total}
-        body = about | counts | {"reason": reason, "files": files, "unmet": ended.unmet}
+        campaign_json = {"campaign": campaign.name, "variant": variant, "folder": str(folder)}
+        reason = str(ending.error).splitlines()[0] if ending.error else ""
+        counts = {"finished": finished_count, "of": ending.total}
+        body = campaign_json | counts | {"reason": reason, "files": files, "unmet": ending.unmet}
         stdout_error = print_answer(json.dumps(body))
     else:
-        advice = "" if finished_count == ended.total else "; the same command goes on"
-        stdout_error = print_answer(f"{finished_count} of {ended.total} runs are finished in {folder}{advice}")
-    if ended.error is not None:
-        raise ended.error
-    if ended.unmet:
-        raise AcceptanceFailed("; ".join(ended.unmet))
+        hint = "" if finished_count == ending.total else "; the same command goes on"
+        stdout_error = print_answer(f"{finished_count} of {ending.total} runs are finished in {folder}{hint}")
+    if ending.error is not None:
+        raise ending.error
+    if ending.unmet:
+        raise AcceptanceFailed("; ".join(ending.unmet))
     if stdout_error is not None:
         raise stdout_error
 
 
-def _read(
+def _read_campaign(
     name: str,
     variant: str,
     seed: int | None,
@@ -196,8 +196,8 @@ def _read(
     return campaign, folder, entries_of(campaign, EntryOptions(folder, operator, realtime, served, buses))
 
 
-def _about(entry: "CampaignEntry") -> dict[str, Any]:
-    """Return step, bench, actuator and condition of a run of a campaign, and its prompt, as JSON takes them."""
+def _run_json(entry: "CampaignEntry") -> dict[str, Any]:
+    """Return what a run of a campaign measures, where, and what has to be mounted, as a JSON object."""
     cell, request = entry.cell, entry.request
     return {
         "run": cell.key,
@@ -213,4 +213,5 @@ def _about(entry: "CampaignEntry") -> dict[str, Any]:
 
 
 def _tell(text: str) -> None:
+    """Print a message on stderr."""
     print(f"leactl: {text}", file=sys.stderr, flush=True)

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import typer
 
-from leactl.cli.completion import benches, drivers
+from leactl.cli.completion import complete_bench, complete_driver
 from leactl.cli.helptext import examples, group_of_commands
 from leactl.errors import DeviceError, InputError
 
 app = group_of_commands()
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
-NAME = typer.Argument(help="Name of a driver plug-in.", autocompletion=drivers)
+NAME = typer.Argument(help="Name of a driver plug-in.", autocompletion=complete_driver)
 
 
 @app.command("list", epilog=examples("driver list"))
@@ -20,24 +20,26 @@ def list_drivers(as_json: bool = AS_JSON) -> None:
     from leactl.driver import registry
     from leactl.report.terminal import list_line
 
-    drivers = registry.survey()
+    listings = registry.survey()
     if as_json:
         rows = [
             {
-                "name": item.name,
-                "source": item.source,
-                "transport": item.driver.transport if item.driver else None,
-                "summary": item.driver.summary if item.driver else None,
-                "error": item.error or None,
+                "name": listing.name,
+                "source": listing.source,
+                "transport": listing.driver.transport if listing.driver else None,
+                "summary": listing.driver.summary if listing.driver else None,
+                "error": listing.error or None,
             }
-            for item in drivers
+            for listing in listings
         ]
         typer.echo(json.dumps({"drivers": rows}))
         return
-    width = max((len(item.name) for item in drivers), default=0)
-    for item in drivers:
-        transport, text = (item.driver.transport, item.driver.summary) if item.driver else ("broken", item.error)
-        typer.echo(list_line(f"{item.name:<{width}} {transport:<7} ", text))
+    width = max((len(listing.name) for listing in listings), default=0)
+    for listing in listings:
+        transport, summary = (
+            (listing.driver.transport, listing.driver.summary) if listing.driver else ("broken", listing.error)
+        )
+        typer.echo(list_line(f"{listing.name:<{width}} {transport:<7} ", summary))
 
 
 @app.command(epilog=examples("driver info elmo_can"))
@@ -46,17 +48,23 @@ def info(name: str = NAME, as_json: bool = AS_JSON) -> None:
     from leactl.driver import registry
 
     driver = registry.load(name)
-    schema, kinds = driver.Settings.model_json_schema(), (driver.transport, *driver.further_transports)
+    schema, transports = driver.Settings.model_json_schema(), (driver.transport, *driver.further_transports)
     if as_json:
-        described = {"name": name, "transport": driver.transport, "summary": driver.summary, "settings": schema}
-        typer.echo(json.dumps(described))
+        description = {"name": name, "transport": driver.transport, "summary": driver.summary, "settings": schema}
+        typer.echo(json.dumps(description))
         return
-    typer.echo(f"{name}: {driver.summary} (bus: {' or '.join(kinds)})")
-    for field, body in schema["properties"].items():
-        needed = "required" if field in schema.get("required", ()) else f"default {body.get('default')}"
-        kind = body.get("type") or body.get("$ref", "").rpartition("/")[2] or "choice"
-        bounds = [f"{word} {body[key]}" for key, word in (("minimum", ">="), ("maximum", "<=")) if key in body]
-        typer.echo(f"  {field:<26} {kind:<9} {needed:<14} {' '.join(bounds)}".rstrip())
+    typer.echo(f"{name}: {driver.summary} (bus: {' or '.join(transports)})")
+    for setting, setting_schema in schema["properties"].items():
+        default_text = (
+            "required" if setting in schema.get("required", ()) else f"default {setting_schema.get('default')}"
+        )
+        type_text = setting_schema.get("type") or setting_schema.get("$ref", "").rpartition("/")[2] or "choice"
+        bounds = [
+            f"{word} {setting_schema[key]}"
+            for key, word in (("minimum", ">="), ("maximum", "<="))
+            if key in setting_schema
+        ]
+        typer.echo(f"  {setting:<26} {type_text:<9} {default_text:<14} {' '.join(bounds)}".rstrip())
 
 
 @app.command(epilog=examples("driver check elmo_can", means={InputError: "a check fails or there is no such driver"}))
@@ -67,17 +75,17 @@ def check(name: str = NAME, as_json: bool = AS_JSON) -> None:
 
     driver = registry.load(name)
     faults = conformance.faults_of(driver)
-    tried = [] if faults else try_driver(driver)
-    faults += [f"{trial.name}: {trial.fault}" for trial in tried if trial.fault]
+    trial_results = [] if faults else try_driver(driver)
+    faults += [f"{result.name}: {result.fault}" for result in trial_results if result.fault]
     if as_json:
-        rows = [{"name": trial.name, "fault": trial.fault or None} for trial in tried]
+        rows = [{"name": result.name, "fault": result.fault or None} for result in trial_results]
         typer.echo(json.dumps({"name": name, "passed": not faults, "faults": faults, "tried": rows}))
     if faults:
         raise InputError([f"driver '{name}': {fault}" for fault in faults])
     if not as_json:
-        typer.echo(f"{name}: keeps the driver contract, in {len(tried)} trials on its far end")
-        for trial in tried:
-            typer.echo(f"  {trial.name}")
+        typer.echo(f"{name}: keeps the driver contract, in {len(trial_results)} trials on its far end")
+        for result in trial_results:
+            typer.echo(f"  {result.name}")
 
 
 @app.command(
@@ -99,8 +107,8 @@ def new(
         typer.echo(json.dumps({"name": name, "folder": str(folder), "files": files}))
         return
     typer.echo("\n".join(files))
-    second = "answer_of" if bus == "serial" else "register_of"
-    typer.echo(f"\nFill in value_of in driver.py and {second} in emulator.py, then:")
+    emulator_function = "answer_of" if bus == "serial" else "register_of"
+    typer.echo(f"\nFill in value_of in driver.py and {emulator_function} in emulator.py, then:")
     typer.echo(f"  pip install -e {folder} && leactl driver check {name} && pytest {folder}")
 
 
@@ -113,7 +121,7 @@ def new(
 )
 def replay(
     trace: Path = typer.Argument(help="A file that --trace has written."),
-    bench: str = typer.Option(..., "--bench", help="The run's bench file.", autocompletion=benches),
+    bench: str = typer.Option(..., "--bench", help="The run's bench file.", autocompletion=complete_bench),
     as_json: bool = AS_JSON,
 ) -> None:
     """Make the calls of a trace again on the drivers, its wires answering as they did, and say where they differ."""

@@ -8,15 +8,14 @@ import typer
 from typer.core import TyperCommand
 
 from leactl.cli import finite
-from leactl.cli.completion import effects
-from leactl.cli.completion import protocols as complete_protocols
+from leactl.cli.completion import complete_effect, complete_protocol
 from leactl.cli.helptext import examples, group_of_commands
 
 app = group_of_commands()
 blind = group_of_commands()
 app.add_typer(blind, name="blind", help="Check the diagnosis on withheld causes.")
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
-MOST_SEEDS = 10**6  # random seeds are below this, so that they are short to type
+SEED_LIMIT = 10**6  # random seeds are below it, so that they are short to type
 JSON, TO_STDOUT, RUN_FILE = "--json", "-", ".h5"
 SIMULATED = "--simulated"
 
@@ -32,31 +31,31 @@ class RealAndSimulatedRuns(TyperCommand):
         for parameter in self.params:
             if parameter.name == "model":
                 parameter.required = not {SIMULATED, *ctx.help_option_names} & set(args)
-        return super().parse_args(ctx, completed(repeated(args)))
+        return super().parse_args(ctx, with_stdout_named(with_option_repeated(args)))
 
 
-def repeated(args: list[str]) -> list[str]:
+def with_option_repeated(args: list[str]) -> list[str]:
     """Return the words of a command line with `--simulated` inserted before each of its runs.
 
     Its runs are all words up to the next option, as a shell expands `*`.
     """
     words: list[str] = []
-    in_list = False  # whether the word belongs to a --simulated
+    is_in_list = False  # whether the word belongs to a --simulated
     for index, word in enumerate(args):
         is_first_run = index > 0 and args[index - 1] == SIMULATED
-        in_list = word == SIMULATED or (in_list and not (word.startswith("-") and not is_first_run))
-        words += [SIMULATED, word] if in_list and word != SIMULATED and not is_first_run else [word]
+        is_in_list = word == SIMULATED or (is_in_list and not (word.startswith("-") and not is_first_run))
+        words += [SIMULATED, word] if is_in_list and word != SIMULATED and not is_first_run else [word]
     return words
 
 
-def completed(args: list[str]) -> list[str]:
+def with_stdout_named(args: list[str]) -> list[str]:
     """Return the words of a command line with `-` inserted after a `--json` without a file."""
     words: list[str] = []
     for index, word in enumerate(args):
         words.append(word)
-        following = args[index + 1] if index + 1 < len(args) else RUN_FILE
-        is_option = following.startswith("-") and following != TO_STDOUT
-        if word == JSON and (is_option or following.endswith(RUN_FILE)):
+        next_word = args[index + 1] if index + 1 < len(args) else RUN_FILE
+        is_option = next_word.startswith("-") and next_word != TO_STDOUT
+        if word == JSON and (is_option or next_word.endswith(RUN_FILE)):
             words.append(TO_STDOUT)
     return words
 
@@ -120,26 +119,30 @@ def simulate(
 @app.command(epilog=examples("gap compare simulated.h5 RUN.h5 --json"))
 def compare(first: Path, second: Path, as_json: bool = AS_JSON) -> None:
     """Print how far SECOND is from FIRST, channel by channel: rms, mean, correlation and lag."""
-    from leactl.gap.distance import as_json as answer
+    from leactl.gap.distance import as_json as comparison_json
     from leactl.gap.distance import compare_runs
 
     comparisons = compare_runs(first, second)
     if as_json:
-        typer.echo(json.dumps(answer(comparisons)))
+        typer.echo(json.dumps(comparison_json(comparisons)))
         return
     for channel in comparisons:
-        name = " ".join(filter(None, (channel.role, channel.quantity, channel.location)))
+        channel_name = " ".join(filter(None, (channel.role, channel.quantity, channel.location)))
         similarity = (
             "stands still"
             if channel.correlation is None
             else f"r {channel.correlation:.4f}, lag {channel.lag_s:+.4g} s"
         )
-        typer.echo(f"{name:<34} rms {channel.rms:<10.4g} mean {channel.mean:<+11.4g} {channel.units:<6} {similarity}")
+        typer.echo(
+            f"{channel_name:<34} rms {channel.rms:<10.4g} mean {channel.mean:<+11.4g} {channel.units:<6} {similarity}"
+        )
 
 
 @app.command("effects", epilog=examples("gap effects", "gap effects cogging"))
 def show_effects(
-    name: str | None = typer.Argument(None, help="One effect; without it all are listed.", autocompletion=effects),
+    name: str | None = typer.Argument(
+        None, help="One effect; without it all are listed.", autocompletion=complete_effect
+    ),
     as_json: bool = AS_JSON,
 ) -> None:
     """Explain what a model may lack: equation, where it shows, what it is confused with, what shows it; and faults."""
@@ -164,7 +167,7 @@ def plan_runs(
     runs: list[Path] = typer.Argument(None, metavar="[RUN]...", help="Run files that there are."),
     model: Path = typer.Option(..., "--model", help="Nominal model, a .yaml."),
     protocols: list[str] = typer.Option(
-        [], "--protocol", help="A protocol that will be run; may be repeated.", autocompletion=complete_protocols
+        [], "--protocol", help="A protocol that will be run; may be repeated.", autocompletion=complete_protocol
     ),
     noise: list[str] = typer.Option([], "--noise", metavar="QUANTITY=STD", help="Noise of a planned channel, SI."),
     as_json: bool = AS_JSON,
@@ -180,7 +183,7 @@ def plan_runs(
 @app.command(epilog=examples("gap demo", "gap demo --effect cogging --out cogging"))
 def demo(
     seed: int | None = typer.Option(None, "--seed", min=0, help="Seed of the draw; by default fresh entropy."),
-    effect: str | None = typer.Option(None, "--effect", help="Plant this effect.", autocompletion=effects),
+    effect: str | None = typer.Option(None, "--effect", help="Plant this effect.", autocompletion=complete_effect),
     out: Path | None = typer.Option(None, "--out", help="New folder; by default leactl-gap-demo-SEED."),
     as_json: bool = AS_JSON,
 ) -> None:
@@ -190,13 +193,13 @@ def demo(
     from leactl.emulation.blind.key import read_key
     from leactl.emulation.blind.make import make
     from leactl.gap.blind.demonstration import demonstrate
-    from leactl.report.gap_demo import demonstration_json as document
+    from leactl.report.gap_demo import demonstration_json as demonstration_document
     from leactl.report.gap_demo import demonstration_lines, files_of, page
     from leactl.report.gap_files import publish
     from leactl.report.progress_line import ProgressLine
 
     if seed is None:
-        seed = randbelow(MOST_SEEDS)
+        seed = randbelow(SEED_LIMIT)
     files = files_of(out or Path(f"leactl-gap-demo-{seed}"))
     with ProgressLine() as step:
         step("planting an effect and running the emulated bench")
@@ -204,7 +207,7 @@ def demo(
         demonstration = demonstrate(files.bench, files.answer, lambda: read_key(files.key, files.bench), step)
         publish(files.page, page(demonstration, seed))
     typer.echo(
-        json.dumps(document(demonstration, seed, files))
+        json.dumps(demonstration_document(demonstration, seed, files))
         if as_json
         else "\n".join(demonstration_lines(demonstration, seed, files))
     )
@@ -301,7 +304,7 @@ def score_blind(
     from leactl.gap.blind.check import Cases, check
     from leactl.gap.blind.score import score
     from leactl.report.blind_score import markdown
-    from leactl.report.blind_score import score_json as document
+    from leactl.report.blind_score import score_json as score_document
     from leactl.report.progress_line import ProgressLine
     from leactl.runfile.publish import new_file, refuse_existing
     from leactl.scheduler import workers_of
@@ -314,11 +317,11 @@ def score_blind(
     if out in [case_set.answers for case_set in case_sets]:
         raise InputError(f"--out {out}: is the folder that the answers go to; the name of a file was expected")
     with ProgressLine() as step, workers_of(processes, scheduler) as workers:
-        marks = check(case_sets, read_key, workers, step)
-    scores = score(marks)
+        case_marks = check(case_sets, read_key, workers, step)
+    scores = score(case_marks)
     options = " ".join(f"--cases {case_set.runs.name} --key {case_set.key.name}" for case_set in case_sets)
     command = f"leactl gap blind score {options}"
     if out is not None:
         with new_file(out) as path:
             path.write_text(markdown(scores, command), encoding="utf-8")
-    typer.echo(json.dumps(document(scores, command)) if as_json else markdown(scores, command))
+    typer.echo(json.dumps(score_document(scores, command)) if as_json else markdown(scores, command))

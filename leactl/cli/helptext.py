@@ -38,23 +38,25 @@ def group_of_commands(kind: type[WholeSentences] = WholeSentences) -> typer.Type
 
 
 def single_command() -> typer.Typer:
-    """Create the `app` of a module with one command and no group."""
+    """Create the `app` of a module that has one command and no group."""
     return typer.Typer(rich_markup_mode=None, add_completion=False)
 
 
 def examples(
-    *lines: str, ends: tuple[type[LeactlError], ...] = (), means: Mapping[type[LeactlError], str] | None = None
+    *commands: str, ends: tuple[type[LeactlError], ...] = (), means: Mapping[type[LeactlError], str] | None = None
 ) -> str:
     """Return the end of the help of a command: examples and exit statuses.
 
     Parameters
     ----------
-    lines : example commands, without `leactl`.
+    commands : example commands, without `leactl`.
     ends : errors that the command may end with, in addition to those of every command (ALWAYS).
     means : meanings of the exit statuses of these errors for this command, in place of MEANINGS.
     """
     meanings = {**MEANINGS, **(means or {})}
-    statuses = {error.exit_status: meanings[error] for error in (*ALWAYS, *ends)}
-    status_texts = ", ".join(f"{status} {meaning}" for status, meaning in sorted({0: "done", **statuses}.items()))
-    shown = "".join(f"\n  leactl {line}" for line in lines)
-    return f"\b\nExample{'s' if len(lines) > 1 else ''}:{shown}\n\nExit status: {status_texts}."
+    meaning_of_status = {error.exit_status: meanings[error] for error in (*ALWAYS, *ends)}
+    status_texts = ", ".join(
+        f"{status} {meaning}" for status, meaning in sorted({0: "done", **meaning_of_status}.items())
+    )
+    example_lines = "".join(f"\n  leactl {line}" for line in commands)
+    return f"\b\nExample{'s' if len(commands) > 1 else ''}:{example_lines}\n\nExit status: {status_texts}."

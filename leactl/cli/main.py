@@ -15,9 +15,9 @@ from leactl.cli.commands import Commands
 from leactl.cli.printable import show_control_characters
 from leactl.errors import InputError, LeactlError, Stopped
 
-TYPER_CTRL_C_STATUS = 130  # that typer returns after Ctrl-C
+TYPER_CTRL_C_STATUS = 130  # which typer returns after Ctrl-C
 BROKEN_PIPE_STATUS = 141  # 128 + 13, as of a command that SIGPIPE ends in a shell
-MOST_FAULT_LINES = 50  # of faults that are printed: a file may have one in each of its lines
+MOST_FAULT_LINES = 50  # that are printed: a file may have a fault in each of its lines
 UsageError: Any = typer.BadParameter.__base__  # not imported: its module differs between versions of typer
 
 app = typer.Typer(
@@ -33,6 +33,7 @@ app = typer.Typer(
 
 
 def _show_version(is_requested: bool) -> None:
+    """Print the version and exit if the option is given."""
     if is_requested:
         typer.echo(f"leactl {__version__}")
         raise typer.Exit
@@ -50,10 +51,10 @@ def main() -> None:
     _replace_closed_streams()
     try:
         _run()
-    except SystemExit as end:
-        writer = sys.modules.get("leactl.runfile.write.writer")
-        if writer is not None and writer.KEPT_OPEN:
-            _exit_process(end.code)
+    except SystemExit as exit_request:
+        writer_module = sys.modules.get("leactl.runfile.write.writer")
+        if writer_module is not None and writer_module.KEPT_OPEN:
+            _exit_process(exit_request.code)
         raise
 
 
@@ -81,6 +82,7 @@ def _exit_process(code: str | int | None) -> NoReturn:
 
 
 def _run() -> None:
+    """Run the command, and exit with its status; an error is printed before."""
     show_control_characters()
     try:
         status = app(prog_name=app.info.name, standalone_mode=False)
@@ -88,27 +90,31 @@ def _run() -> None:
         _refuse_usage(error)
     except InputError as error:
         _print_notes(error)
-        _end(error.faults, error.exit_status)
+        _exit_with_faults(error.faults, error.exit_status)
     except LeactlError as error:
         _print_notes(error)
-        _end([str(error)], error.exit_status)
-    except (BrokenPipeError, SystemExit) as end:  # click turns a broken pipe into SystemExit
-        if not isinstance(end, BrokenPipeError) and not isinstance(end.__context__, BrokenPipeError):
+        _exit_with_faults([str(error)], error.exit_status)
+    except (BrokenPipeError, SystemExit) as exit_cause:  # click turns a broken pipe into SystemExit
+        if not isinstance(exit_cause, BrokenPipeError) and not isinstance(exit_cause.__context__, BrokenPipeError):
             raise
         _discard_stdout()  # else flushing it at exit would raise the error again
         sys.exit(BROKEN_PIPE_STATUS)
     except (KeyboardInterrupt, typer.Abort):
-        _end(["stopped"], Stopped.exit_status)
+        _exit_with_faults(["stopped"], Stopped.exit_status)
     except Exception as error:
         if os.environ.get("LEACTL_TRACE"):
             raise
         _print_notes(error)
         if isinstance(error, OSError) and error.errno == errno.ENOSPC:
             _discard_stdout()
-            _end([f"{error.filename or 'stdout'}: cannot be written: {error.strerror}"], InputError.exit_status)
-        _end([f"internal error: {type(error).__name__}: {error}; LEACTL_TRACE=1 shows where"], LeactlError.exit_status)
+            _exit_with_faults(
+                [f"{error.filename or 'stdout'}: cannot be written: {error.strerror}"], InputError.exit_status
+            )
+        _exit_with_faults(
+            [f"internal error: {type(error).__name__}: {error}; LEACTL_TRACE=1 shows where"], LeactlError.exit_status
+        )
     if status == TYPER_CTRL_C_STATUS:
-        _end(["stopped"], Stopped.exit_status)
+        _exit_with_faults(["stopped"], Stopped.exit_status)
     sys.exit(status if isinstance(status, int) else 0)
 
 
@@ -126,11 +132,13 @@ def _refuse_usage(error: Any) -> NoReturn:
         sys.exit(InputError.exit_status)
     command = error.ctx.command_path if error.ctx is not None else "leactl"
     options = tuple(getattr(getattr(error, "param", None), "opts", ()))
-    values = [following for word, following in itertools.pairwise(sys.argv) if word in options]
+    option_values = [following for word, following in itertools.pairwise(sys.argv) if word in options]
     prefixes = tuple(f"{option}=" for option in options)
-    values += [word.partition("=")[2] for word in sys.argv if word.startswith(prefixes)]
-    found_text = f", found {values[0]!r}" if len(values) == 1 and text.startswith("Invalid") else ""
-    _end([f"{text[0].lower()}{text[1:]}{found_text}; {command} --help tells the usage"], InputError.exit_status)
+    option_values += [word.partition("=")[2] for word in sys.argv if word.startswith(prefixes)]
+    found_text = f", found {option_values[0]!r}" if len(option_values) == 1 and text.startswith("Invalid") else ""
+    _exit_with_faults(
+        [f"{text[0].lower()}{text[1:]}{found_text}; {command} --help tells the usage"], InputError.exit_status
+    )
 
 
 def _discard_stdout() -> None:
@@ -143,10 +151,10 @@ def _is_json_requested() -> bool:
     from leactl.cli import gap
 
     words = list(itertools.takewhile(lambda word: word != "--", sys.argv[1:]))
-    return gap.JSON in words and (words[:2] != ["gap", "diagnose"] or gap.TO_STDOUT in gap.completed(words))
+    return gap.JSON in words and (words[:2] != ["gap", "diagnose"] or gap.TO_STDOUT in gap.with_stdout_named(words))
 
 
-def _end(lines: list[str], status: int) -> NoReturn:
+def _exit_with_faults(lines: list[str], status: int) -> NoReturn:
     """Print the faults on stderr, also as JSON on stdout if the user asked for JSON, and exit with the status."""
     if status == InputError.exit_status and _is_json_requested() and not getattr(sys.stdout, "used", False):
         with suppress(OSError):  # the faults are printed on stderr too

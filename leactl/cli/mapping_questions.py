@@ -1,4 +1,4 @@
-"""Asks the user the open questions of a proposed mapping by stderr and stdin; stdout is for output alone."""
+"""Ask the user the open questions of a proposed mapping by stderr and stdin; stdout is for output alone."""
 
 import sys
 from typing import TYPE_CHECKING

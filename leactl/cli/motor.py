@@ -7,12 +7,12 @@ from textwrap import indent
 import typer
 
 from leactl.cli import finite
-from leactl.cli.completion import motors as complete_motors
+from leactl.cli.completion import complete_motor
 from leactl.cli.helptext import examples, group_of_commands
 
 app = group_of_commands()
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
-MOTOR = typer.Argument(help="Name of a shipped motor, or a path to a .yaml.", autocompletion=complete_motors)
+MOTOR = typer.Argument(help="Name of a shipped motor, or a path to a .yaml.", autocompletion=complete_motor)
 AMBIENT = typer.Option(
     25.0, "--ambient", min=-40.0, max=60.0, help="Temperature of the air around the actuator [degC].", callback=finite
 )
@@ -35,22 +35,26 @@ def show(motor: str = MOTOR, ambient: float = AMBIENT, bus_voltage: float = BUS,
     from leactl.report.motor_comparison import OperatingConditions, compared_motor, comparison_json, comparison_text
 
     sheet, document = load_sheet(motor)
-    derived = compared_motor(motor, OperatingConditions(ambient, bus_voltage))
+    motor_with_figures = compared_motor(motor, OperatingConditions(ambient, bus_voltage))
     if as_json:
-        compared = comparison_json([derived])
-        figures = {row["name"]: row["values"][0] for row in compared["rows"]}
-        body = sheet.model_dump(exclude_defaults=True) | {"name": sheet.name}
-        derived_figures = {"motor_constant": figures["motor_constant"], "figures": figures, "notes": compared["notes"]}
-        typer.echo(json.dumps(body | derived_figures))
+        comparison = comparison_json([motor_with_figures])
+        figures = {row["name"]: row["values"][0] for row in comparison["rows"]}
+        sheet_json = sheet.model_dump(exclude_defaults=True) | {"name": sheet.name}
+        figures_json = {"motor_constant": figures["motor_constant"], "figures": figures, "notes": comparison["notes"]}
+        typer.echo(json.dumps(sheet_json | figures_json))
         return
     # the derived figures are comments, so that the redirected output is a motor file
-    typer.echo(document.text.rstrip() + "\n\n" + indent(comparison_text([derived]), "# ", lambda line: True).rstrip())
+    typer.echo(
+        document.text.rstrip()
+        + "\n\n"
+        + indent(comparison_text([motor_with_figures]), "# ", lambda line: True).rstrip()
+    )
 
 
 @app.command(epilog=examples("motor compare lea mine.yaml"))
 def compare(
     motors: list[str] = typer.Argument(
-        None, metavar="[MOTOR]...", help="Names or paths; all that ship by default.", autocompletion=complete_motors
+        None, metavar="[MOTOR]...", help="Names or paths; all that ship by default.", autocompletion=complete_motor
     ),
     ambient: float = AMBIENT,
     bus_voltage: float = BUS,
@@ -71,7 +75,7 @@ def scale(
     radius: float = typer.Option(
         ..., "--radius", metavar="MM", help="Air-gap radius of the new motor.", callback=finite
     ),
-    motor: str = typer.Option("u8-kv100", help="The known motor, by name or path.", autocompletion=complete_motors),
+    motor: str = typer.Option("u8-kv100", help="The known motor, by name or path.", autocompletion=complete_motor),
     known_radius: float | None = typer.Option(
         None, "--known-radius", metavar="MM", help="Air-gap radius of the known motor.", callback=finite
     ),
@@ -83,28 +87,30 @@ def scale(
     from leactl.report.motor_design import scaled_text
 
     sheet = load_sheet(motor)[0]
-    quantities = scaled_figures(sheet, radius / 1e3, None if known_radius is None else known_radius / 1e3)
+    figures = scaled_figures(sheet, radius / 1e3, None if known_radius is None else known_radius / 1e3)
     if as_json:
-        rows = [
+        figures_json = [
             {
-                "name": quantity.name,
-                "units": quantity.units,
-                "power": quantity.power,
-                "known": quantity.known,
-                "scaled": quantity.scaled,
+                "name": figure.name,
+                "units": figure.units,
+                "power": figure.power,
+                "known": figure.known,
+                "scaled": figure.scaled,
             }
-            for quantity in quantities
+            for figure in figures
         ]
-        typer.echo(json.dumps({"motor": sheet.name, "winding": sheet.winding, "radius_mm": radius, "figures": rows}))
+        typer.echo(
+            json.dumps({"motor": sheet.name, "winding": sheet.winding, "radius_mm": radius, "figures": figures_json})
+        )
         return
-    typer.echo(scaled_text(sheet, quantities, radius / 1e3))
+    typer.echo(scaled_text(sheet, figures, radius / 1e3))
 
 
 @app.command(epilog=examples("motor energy hip.csv knee.csv --body-mass 70"))
 def energy(
     cycles: list[Path] = typer.Argument(metavar="CYCLE.csv...", help="Angle and torque of a joint over one cycle."),
     motors: list[str] = typer.Option(
-        [], "--motor", help="Names or paths; all that ship by default.", autocompletion=complete_motors
+        [], "--motor", help="Names or paths; all that ship by default.", autocompletion=complete_motor
     ),
     stride_time: float | None = typer.Option(None, metavar="S", help="How long a cycle takes.", callback=finite),
     body_mass: float | None = typer.Option(
@@ -147,8 +153,8 @@ def energy(
             else stride(sheet, cycle, ratio, efficiency, supply)
             for sheet in sheets
         ]
-        notes_by_motor = [remarks(sheet, motion) for sheet, motion in zip(sheets, strides, strict=True)]
-        about = {
+        notes_by_motor = [remarks(sheet, motor_stride) for sheet, motor_stride in zip(sheets, strides, strict=True)]
+        cycle_json = {
             "cycle": str(path),
             "stride_time_s": cycle.period,
             "angle_harmonics": cycle.harmonics,
@@ -156,7 +162,7 @@ def energy(
             "notes": list(cycle.notes),
         }
         rows = zip(sheets, strides, notes_by_motor, strict=True)
-        cycles_json.append(about | {"motors": [stride_json(*row) for row in rows]})
+        cycles_json.append(cycle_json | {"motors": [stride_json(*row) for row in rows]})
         motor_notes = [
             f"{sheet.name}: {note}" for sheet, notes in zip(sheets, notes_by_motor, strict=True) for note in notes
         ]
@@ -186,9 +192,13 @@ def preload_of(
 
     bearings = bearings_of(load_sheet(motor)[0])
     gap_readings = readings(bearings, rest_gap / 1e3)
-    table = [
-        (reading, [preload(bearings, reading, mm / 1e3) for mm in gap], largest_gap(bearings, reading))
+    preloads_by_reading = [
+        (reading, [preload(bearings, reading, gap_mm / 1e3) for gap_mm in gap], largest_gap(bearings, reading))
         for reading in gap_readings
     ]
-    misses = disagreement(bearings, gap_readings)
-    typer.echo(json.dumps(preload_json(bearings, table, misses)) if as_json else preload_text(bearings, table, misses))
+    deviations = disagreement(bearings, gap_readings)
+    typer.echo(
+        json.dumps(preload_json(bearings, preloads_by_reading, deviations))
+        if as_json
+        else preload_text(bearings, preloads_by_reading, deviations)
+    )

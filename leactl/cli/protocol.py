@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from leactl.cli.completion import benches, protocols, settings
+from leactl.cli.completion import complete_bench, complete_protocol, complete_setting
 from leactl.cli.helptext import examples, group_of_commands
 
 if TYPE_CHECKING:
@@ -14,16 +14,18 @@ if TYPE_CHECKING:
 app = group_of_commands()
 STDIN = "<stdin>"  # name of the file in faults of a protocol from stdin
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
-SHIPPED = typer.Argument(help="Name of a shipped protocol, or a path to a .yaml.", autocompletion=protocols)
+SHIPPED = typer.Argument(help="Name of a shipped protocol, or a path to a .yaml.", autocompletion=complete_protocol)
 SET = typer.Option(
     [],
     "--set",
     metavar="NAME=VALUE",
     help="Value of a parameter; a list as [1, 2]. May be repeated.",
-    autocompletion=settings,
+    autocompletion=complete_setting,
 )
 CONDITION = typer.Option("", "--condition", metavar="LABEL", help="Take the protocol's parameters of this condition.")
-BENCH = typer.Option("", "--bench", help="Check the setpoints against this bench's limits.", autocompletion=benches)
+BENCH = typer.Option(
+    "", "--bench", help="Check the setpoints against this bench's limits.", autocompletion=complete_bench
+)
 
 
 @app.command("list", epilog=examples("protocol list"))
@@ -38,8 +40,8 @@ def list_protocols(as_json: bool = AS_JSON) -> None:
         return
     width = max(len(protocol.name) for protocol in protocols)
     for protocol in protocols:
-        time = duration(protocol.duration_s, always_hours=True)
-        typer.echo(list_line(f"{protocol.name:<{width}}  {protocol.setup:<8} {time:>10}  ", protocol.title))
+        duration_text = duration(protocol.duration_s, always_hours=True)
+        typer.echo(list_line(f"{protocol.name:<{width}}  {protocol.setup:<8} {duration_text:>10}  ", protocol.title))
 
 
 @app.command(epilog=examples("protocol show friction > mine.yaml"))
@@ -55,7 +57,7 @@ def show(name: str = SHIPPED, as_json: bool = AS_JSON) -> None:
 @app.command(epilog=examples("protocol check mine.yaml", "protocol check - < mine.yaml"))
 def check(
     protocol: str = typer.Argument(
-        help="Name of a shipped protocol, a path to a .yaml, or - for stdin.", autocompletion=protocols
+        help="Name of a shipped protocol, a path to a .yaml, or - for stdin.", autocompletion=complete_protocol
     ),
     as_json: bool = AS_JSON,
 ) -> None:
@@ -76,8 +78,8 @@ def check(
         typer.echo(f"note: {note}", err=True)
     for line in searches(plan):
         typer.echo(line)
-    time = f"{'at most ' if plan.adaptive else ''}{duration(plan.duration_s, always_hours=True)}"
-    typer.echo(f"{plan.name}: {len(plan.actions)} actions, {time}, no faults")
+    duration_text = f"{'at most ' if plan.adaptive else ''}{duration(plan.duration_s, always_hours=True)}"
+    typer.echo(f"{plan.name}: {len(plan.actions)} actions, {duration_text}, no faults")
 
 
 @app.command(epilog=examples("protocol plan friction", "protocol plan mine.yaml --bench emulated --set hold_s=6"))
@@ -141,7 +143,7 @@ def plan(
 
 
 def _checked(protocol: str) -> "Plan":
-    """Return the plan of a protocol after a check of its acceptance limits.
+    """Load a protocol, check its acceptance limits, and return its plan.
 
     In a protocol from stdin, paths of CSV files are relative to the working folder.
     """

@@ -26,18 +26,18 @@ class SeveralCompared(TyperCommand):
         ------
         InputError : no path follows `--compare`.
         """
-        completed: list[str] = []
-        remaining = list(args)
-        while remaining:
-            word = remaining.pop(0)
-            completed.append(word)
+        completed_words: list[str] = []
+        remaining_words = list(args)
+        while remaining_words:
+            word = remaining_words.pop(0)
+            completed_words.append(word)
             if word == COMPARED:
-                paths = list(takewhile(lambda path: not path.startswith("-"), remaining))
-                del remaining[: len(paths)]
+                paths = list(takewhile(lambda path: not path.startswith("-"), remaining_words))
+                del remaining_words[: len(paths)]
                 if not paths:
                     raise InputError(f"{COMPARED}: no runs after it; give run files, or folders of them")
-                completed += [part for path in paths for part in (COMPARED, path)][1:]
-        return super().parse_args(ctx, completed)
+                completed_words += [inserted_word for path in paths for inserted_word in (COMPARED, path)][1:]
+        return super().parse_args(ctx, completed_words)
 
 
 @app.command(

@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperCommand
 
 from leactl.cli import TRACE, print_answer, traced_to
-from leactl.cli.completion import benches, protocols, settings
+from leactl.cli.completion import complete_bench, complete_protocol, complete_setting
 from leactl.cli.helptext import ON_A_BENCH, examples, single_command
 from leactl.errors import AcceptanceFailed
 from leactl.report.web import FREE_PORT_HERE
@@ -30,7 +30,7 @@ ATTENDED = typer.Option(
 )
 
 WEB = "--web"
-ADDRESS_LIKE = re.compile("localhost|[0-9.]+|[^-].*:.*|:.*")  # also addresses with a fault, which RunPage refuses
+ADDRESS_LIKE = re.compile("localhost|[0-9.]+|[^-].*:.*|:.*")  # also faulty addresses, which RunPage refuses
 
 
 class RunWithPage(TyperCommand):
@@ -64,12 +64,14 @@ class RunWithPage(TyperCommand):
     ),
 )
 def run(
-    protocol: str = typer.Argument(help="Name of a shipped protocol, or a path to a .yaml.", autocompletion=protocols),
+    protocol: str = typer.Argument(
+        help="Name of a shipped protocol, or a path to a .yaml.", autocompletion=complete_protocol
+    ),
     bench: str = typer.Option(
-        "emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches
+        "emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=complete_bench
     ),
     settings: list[str] = typer.Option(
-        [], "--set", metavar="NAME=VALUE", help="Set a parameter; seed=N on emulated.", autocompletion=settings
+        [], "--set", metavar="NAME=VALUE", help="Set a parameter; seed=N on emulated.", autocompletion=complete_setting
     ),
     actuator: str = typer.Option("", help="Which actuator is on the bench: its serial number or any label."),
     condition: str = typer.Option("", help="Condition of the run: unloaded, design, loaded or any label."),
@@ -111,7 +113,7 @@ def run(
     request = prepare(protocol, bench, settings, actuator, condition, operator, out, realtime, served, bus)
     plan = replace(request.plan, attended=attended or request.plan.attended)
     request = replace(request, plan=plan, cold=cold, insert_cooldown=insert_cooldown)
-    at_end_words = [] if at_end is None else _words_of(at_end)
+    at_end_words = [] if at_end is None else _at_end_words(at_end)
     if as_json and events == STDOUT:
         raise InputError("--events -: stdout is for --json alone; name a file")
     page: AbstractContextManager[RunPage | None] = nullcontext()
@@ -124,27 +126,29 @@ def run(
         return
     with (
         signals_kept_to_the_end(),
-        page as shown,
-        EventLines(events) if events else nullcontext() as lines,
-        traced_to(trace) as traced,
+        page as open_page,
+        EventLines(events) if events else nullcontext() as event_lines,
+        traced_to(trace) as wire_trace,
     ):
-        outcome = perform(replace(request, lines=lines, trace=traced), page=shown)
+        outcome = perform(replace(request, lines=event_lines, trace=wire_trace), page=open_page)
         acceptance, unmet = judge_all(request.plan, outcome)
         answer = outcome.as_json() | {"acceptance": acceptance}
-        if lines is not None:
-            lines.end(**answer)
+        if event_lines is not None:
+            event_lines.end(**answer)
         stdout_error = None
         if as_json or events != STDOUT:
             stdout_error = print_answer(json.dumps(answer) if as_json else ending_line(outcome))
-        # inside the block: after it signals are ignored, also by processes that are started
+        # inside the block: after it signals are ignored, also by a process that is started
         warning = _run_at_end(at_end_words, outcome)
-    faults = [log.fault for log in (lines, shown) if log is not None and log.fault not in outcome.notes]
+    faults = [
+        output.fault for output in (event_lines, open_page) if output is not None and output.fault not in outcome.notes
+    ]
     for note in filter(None, (warning, *faults)):
         print(f"leactl: warning: {note}", file=sys.stderr)
     finish(outcome, unmet, stdout_error)
 
 
-def _words_of(command: str) -> list[str]:
+def _at_end_words(command: str) -> list[str]:
     """Split the command of `--at-end` into words.
 
     Raises
@@ -194,11 +198,11 @@ def print_dry_run(request: "Request", as_json: bool) -> None:
 
     check_operator(request)
     check_folder(request.directory)
-    planned = dry_run(request)
-    body = dry_run_body(request, planned)
-    for text in planned.warnings:
+    dry_run_result = dry_run(request)
+    body = dry_run_body(request, dry_run_result)
+    for text in dry_run_result.warnings:
         print(f"leactl: warning: {text}", file=sys.stderr)
-    typer.echo(json.dumps(body) if as_json else dry_run_text(request, planned, body))
+    typer.echo(json.dumps(body) if as_json else dry_run_text(request, dry_run_result, body))
 
 
 def perform(request: "Request", heading: str = "", page: "RunPage | None" = None) -> "Outcome":
@@ -216,7 +220,7 @@ def perform(request: "Request", heading: str = "", page: "RunPage | None" = None
     from leactl.runner.session import execute
 
     console = Console(file=sys.__stderr__)
-    emulated = request.bench.emulated is not None
+    is_emulated = request.bench.emulated is not None
     check_operator(request)
     warn_overdue(request)
     if page is not None:
@@ -233,8 +237,10 @@ def perform(request: "Request", heading: str = "", page: "RunPage | None" = None
                 page.show(progress)
             return live_view(progress, console)
 
-        stops = [keys.pressed] if page is None else [keys.pressed, page.stop_cause]
-        outcome = execute(request, confirm_at_once if emulated else keys.ask, watch, stops, [keys.pause_pressed])
+        stop_checks = [keys.pressed] if page is None else [keys.pressed, page.stop_cause]
+        outcome = execute(
+            request, confirm_at_once if is_emulated else keys.ask, watch, stop_checks, [keys.pause_pressed]
+        )
     if page is not None:
         page.end(outcome.status, outcome.reason, str(outcome.path))
     return outcome
@@ -249,7 +255,7 @@ def warn_overdue(request: "Request") -> None:
 
 
 def check_operator(request: "Request") -> None:
-    """Check that an operator can answer the prompts of a plan; an emulated bench needs none.
+    """Raise if no operator can answer the prompts of a plan; an emulated bench needs no operator.
 
     Raises
     ------
@@ -258,13 +264,13 @@ def check_operator(request: "Request") -> None:
     from leactl.errors import InputError
     from leactl.protocol.plan import Prompt
 
-    prompts = any(isinstance(action, Prompt) for action in request.plan.actions)
-    if prompts and request.bench.emulated is None and not sys.stdin.isatty():
+    has_prompts = any(isinstance(action, Prompt) for action in request.plan.actions)
+    if has_prompts and request.bench.emulated is None and not sys.stdin.isatty():
         raise InputError(f"protocol '{request.plan.name}' asks the operator, and stdin is no terminal")
 
 
 def ending_line(outcome: "Outcome") -> str:
-    """Return file, status and duration of a run in one line."""
+    """Return the file, the status and the duration of a run in one line."""
     return f"{outcome.path}  {outcome.status}, {outcome.duration_s:.1f} s of bench time"
 
 

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from leactl import yamlfile
 
 app = group_of_commands()
-POLL_S = 0.2  # least time between two reads of a run that is followed; its writer adds rows each second
-BUSY_SHARE = 0.1  # largest share of a core for these reads, which take long on a long run: a control loop may need it
-UNWRITTEN_S = 10.0  # without a write, after which a run that is being recorded may have been killed
+POLL_S = 0.2  # least time between two reads of a run that is followed, to which rows are added once a second
+BUSY_SHARE = 0.1  # largest share of a core for these reads: those of a long run are slow, and a control loop goes first
+UNWRITTEN_S = 10.0  # time without a write, after which a run that is being recorded may have been killed
 AUTO = "auto"  # value of --map that proposes a mapping
 AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 PROCESSES = typer.Option(1, "--processes", min=1, help="How many runs to read at a time; the answer is the same.")
@@ -26,7 +26,7 @@ SCHEDULER = typer.Option(
 INDEX = typer.Option(None, "--index", metavar="FILE", help="The index; by default .leactl-index.sqlite in the folder.")
 
 
-def remark(line: str) -> None:
+def print_remark(line: str) -> None:
     """Print a remark for the user on stderr."""
     typer.echo(f"leactl: {line}", err=True)
 
@@ -62,7 +62,7 @@ def list_runs(
     from leactl.runfile.catalog.run_index import list_runs as read_summaries
     from leactl.runfile.catalog.selection import ordered, selection_of
 
-    summaries = read_summaries(directory, index, remark)
+    summaries = read_summaries(directory, index, print_remark)
     selection = selection_of(
         summaries,
         protocol=protocol,
@@ -73,17 +73,17 @@ def list_runs(
         until=until,
         where=where,
     )
-    shown = [run for run in ordered(summaries, sort) if selection.empty or selection.fits(run)]
-    shown = shown[::-1] if reverse else shown
+    shown_runs = [run for run in ordered(summaries, sort) if selection.empty or selection.fits(run)]
+    shown_runs = shown_runs[::-1] if reverse else shown_runs
     unreadable_count = 0 if selection.empty else sum(bool(run.fault) for run in summaries)
     if as_json:
-        typer.echo(json.dumps({"runs": [run.as_json() for run in shown]}, allow_nan=False))
+        typer.echo(json.dumps({"runs": [run.as_json() for run in shown_runs]}, allow_nan=False))
     else:
-        typer.echo(run_list(shown, summaries, {*selection.where, sort}), nl=False)
+        typer.echo(run_list(shown_runs, summaries, {*selection.where, sort}), nl=False)
     if unreadable_count:
-        remark(f"{unreadable_count} of {len(summaries)} files cannot be read and are left out")
-    if summaries and not shown:
-        remark(f"none of {len(summaries)} runs in {directory} is what was asked for")
+        print_remark(f"{unreadable_count} of {len(summaries)} files cannot be read and are left out")
+    if summaries and not shown_runs:
+        print_remark(f"none of {len(summaries)} runs in {directory} is what was asked for")
 
 
 @app.command("index", epilog=examples("runs index runs", "runs index archive --index archive.sqlite --processes 2"))
@@ -100,16 +100,16 @@ def index_runs(
     from leactl.runfile.catalog.run_index import update
 
     with ProgressLine() as step, Workers(processes) as workers:
-        path, catalogue = update(directory, index, remark, workers, step)
-    faulty = [run for run in catalogue.runs if run.fault]
+        path, catalogue = update(directory, index, print_remark, workers, step)
+    faulty_runs = [run for run in catalogue.runs if run.fault]
     if as_json:
-        body = {"index": str(path), "files": len(catalogue.rows), "read": catalogue.read, "gone": catalogue.gone}
-        unreadable = [{"file": run.file, "fault": run.fault} for run in faulty]
-        typer.echo(json.dumps(body | {"unreadable": unreadable}))
+        index_json = {"index": str(path), "files": len(catalogue.rows), "read": catalogue.read, "gone": catalogue.gone}
+        faulty_json = [{"file": run.file, "fault": run.fault} for run in faulty_runs]
+        typer.echo(json.dumps(index_json | {"unreadable": faulty_json}))
         return
-    counts = f"{catalogue.read} read, {catalogue.gone} gone, {len(faulty)} unreadable"
+    counts = f"{catalogue.read} read, {catalogue.gone} gone, {len(faulty_runs)} unreadable"
     typer.echo(f"{path}: {len(catalogue.rows)} files, {counts}")
-    typer.echo(run_list(faulty, faulty, ()), nl=False)
+    typer.echo(run_list(faulty_runs, faulty_runs, ()), nl=False)
 
 
 @app.command(
@@ -126,11 +126,11 @@ def tag_runs(
     from leactl.runfile.catalog.summaries import run_files
     from leactl.runfile.catalog.tags import change_tags
 
-    tagged = change_tags(run_files(runs), tag, remove)
+    tagged_runs = change_tags(run_files(runs), tag, remove)
     if as_json:
-        typer.echo(json.dumps({"runs": [{"run": str(run.path), "tags": list(run.tags)} for run in tagged]}))
+        typer.echo(json.dumps({"runs": [{"run": str(run.path), "tags": list(run.tags)} for run in tagged_runs]}))
         return
-    for run in tagged:
+    for run in tagged_runs:
         typer.echo(f"{run.path}: {', '.join(run.tags) or 'no tags'}")
 
 
@@ -179,24 +179,26 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
     from leactl.runfile.read.bisections import searches
     from leactl.runfile.read.reader import Run
 
-    with Run.open(run) as opened:
-        about = {name: str(value) for name, value in opened.attributes.items()} | {"mechanical": opened.mechanical}
+    with Run.open(run) as open_run:
+        attributes = {name: str(value) for name, value in open_run.attributes.items()} | {
+            "mechanical": open_run.mechanical
+        }
         streams = {
             name: {
-                "rows": opened.rows[name],
-                **({"attached": opened.attached(name)} if opened.attached(name) else {}),
+                "rows": open_run.rows[name],
+                **({"attached": open_run.attached(name)} if open_run.attached(name) else {}),
                 "channels": [
                     {"name": spec.name, "quantity": spec.quantity, "role": spec.role, "units": spec.unit}
                     for spec in channels
                 ],
             }
-            for name, channels in opened.streams.items()
+            for name, channels in open_run.streams.items()
         }
-        steps, events, notes = opened.steps, opened.events, opened.notes
-        parameters, instruments = opened.parameters, opened.instruments
+        steps, events, notes = open_run.steps, open_run.events, open_run.notes
+        parameters, instruments = open_run.parameters, open_run.instruments
     if as_json:
         answer = {
-            "attributes": about,
+            "attributes": attributes,
             "parameters": parameters,
             "instruments": instruments,
             "streams": streams,
@@ -207,7 +209,7 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
         }
         typer.echo(json.dumps(answer))
         return
-    for name, value in about.items():
+    for name, value in attributes.items():
         typer.echo(f"{name:<16} {value}".rstrip())
     for name, value in parameters.items():
         typer.echo(list_line(f"parameter {name} = ", str(value)))
@@ -215,7 +217,7 @@ def show(run: Path, as_json: bool = AS_JSON) -> None:
         typer.echo(list_line(f"instrument {name}: ", ", ".join(f"{key} {fact}" for key, fact in facts.items())))
     for name, stream in streams.items():
         typer.echo(f"stream {name}: {stream['rows']} rows{attachment_note(stream)}")
-        for channel in opened.streams[name]:
+        for channel in open_run.streams[name]:
             typer.echo(f"  {channel.name:<12} {channel.role:<6} {channel.quantity:<26} {channel.unit}")
     for search in searches(steps):
         typer.echo(list_line("", str(search)))
@@ -243,19 +245,19 @@ def verify(
     from leactl.scheduler import workers_of
 
     paths = run_files(runs)
-    bodies, findings, unsound_count = [], [], 0
+    examinations_json, findings, unsound_count = [], [], 0
     with workers_of(processes, scheduler) as workers:
         for job in workers.in_order(examine, [(path,) for path in paths]):
             examination = job.value()
             findings += examination.findings
             unsound_count += bool(examination.findings)
             if as_json:
-                bodies.append(examination.as_json())
+                examinations_json.append(examination.as_json())
             elif not examination.findings:
                 typer.echo(f"{examination.path}: {examination.summary}")
     if as_json:
         is_list = len(runs) > 1 or runs[0].is_dir()
-        typer.echo(json.dumps({"runs": bodies} if is_list else bodies[0]))
+        typer.echo(json.dumps({"runs": examinations_json} if is_list else examinations_json[0]))
     if findings and len(paths) > 1:
         findings.append(f"{unsound_count} of {len(paths)} runs are not sound")
     if findings:
@@ -267,8 +269,8 @@ def recover(run: Path, as_json: bool = AS_JSON) -> None:
     """Write a clean copy of a run whose recording was cut off; the original stays."""
     from leactl.runfile.verify.integrity import recover as clean_copy
 
-    written = clean_copy(run)
-    typer.echo(json.dumps({"run": str(written), "status": "recovered"}) if as_json else str(written))
+    copy = clean_copy(run)
+    typer.echo(json.dumps({"run": str(copy), "status": "recovered"}) if as_json else str(copy))
 
 
 @app.command(epilog=examples("runs convert runs/*.h5"))
@@ -291,8 +293,8 @@ def annotate(
 
     add_note(run, text, author)
     if as_json:
-        with Run.open(run) as opened:
-            typer.echo(json.dumps({"run": str(run), "note": vars(opened.notes[-1])}))
+        with Run.open(run) as open_run:
+            typer.echo(json.dumps({"run": str(run), "note": vars(open_run.notes[-1])}))
 
 
 @app.command(epilog=examples("runs attach RUN.h5 camera.csv --device camera --check"))
@@ -309,10 +311,10 @@ def attach(
     from leactl import yamlfile
     from leactl.bench.records import RecordDevice, bench_of_run
 
-    source = RecordDevice(yamlfile.load(bench) if bench else bench_of_run(run), device)
-    attachment = source.join(source.read(files), run)
+    record_device = RecordDevice(yamlfile.load(bench) if bench else bench_of_run(run), device)
+    attachment = record_device.join(record_device.read(files), run)
     if not check:
-        source.attach(attachment, run, replace)
+        record_device.attach(attachment, run, replace)
     if as_json:
         typer.echo(json.dumps(attachment.as_json() | {"run": str(run), "attached": not check}))
     else:
@@ -375,7 +377,7 @@ def import_foreign(
         return
     for note in notes:
         typer.echo(f"note: {note}", err=True)
-    lines = [line for about in previews for line in preview_lines(about)] if check else map(str, files)
+    lines = [line for run_preview in previews for line in preview_lines(run_preview)] if check else map(str, files)
     typer.echo("\n".join(lines))
 
 
@@ -413,8 +415,8 @@ def attachment_note(stream: dict[str, Any]) -> str:
     if "attached" not in stream:
         return ""
     provenance = stream["attached"]
-    accuracy = f"stamps good to {provenance['alignment_uncertainty_s']:.2g} s (95 %)"
-    return f", attached from {provenance['record_files']}, {accuracy} by {provenance['alignment_method']}"
+    accuracy_text = f"stamps good to {provenance['alignment_uncertainty_s']:.2g} s (95 %)"
+    return f", attached from {provenance['record_files']}, {accuracy_text} by {provenance['alignment_method']}"
 
 
 @app.command(epilog=examples("runs plot RUN.h5 torque test_iq", "runs plot RUN.h5 torque --html plot.html"))
@@ -444,21 +446,21 @@ def plot(
     if html:
         outputs.check_files([html], [run])
     columns, rows = shutil.get_terminal_size((80, 24))
-    with Run.open(run) as opened:
-        part = part_of_run(opened, step, start, stop)
+    with Run.open(run) as open_run:
+        time_span = part_of_run(open_run, step, start, stop)
         bins = BINS if html or as_json else 2 * columns
-        traces = [channel_trace(opened, name, *part, bins) for name in channel_names(opened, channels or [])]
+        traces = [channel_trace(open_run, name, *time_span, bins) for name in channel_names(open_run, channels or [])]
         if html:
             with replacement(html) as path:
-                path.write_text(page(opened, traces, *part), encoding="utf-8")
-        steps = opened.steps
+                path.write_text(page(open_run, traces, *time_span), encoding="utf-8")
+        steps = open_run.steps
     if as_json:
-        body = {"run": str(run), "start_s": part[0], "stop_s": part[1], "page": str(html) if html else None}
-        typer.echo(json.dumps(body | {"channels": [item.as_json() for item in traces]}, allow_nan=False))
+        body = {"run": str(run), "start_s": time_span[0], "stop_s": time_span[1], "page": str(html) if html else None}
+        typer.echo(json.dumps(body | {"channels": [trace.as_json() for trace in traces]}, allow_nan=False))
     elif html:
         typer.echo(str(html))
     else:
-        typer.echo(panels_text(traces, steps, part, columns, rows), nl=False)
+        typer.echo(panels_text(traces, steps, time_span, columns, rows), nl=False)
 
 
 @app.command(
@@ -490,31 +492,33 @@ def tail(
     run_tail = RunTail(run, channels or [], rows)
     printer = RowPrinter(shutil.get_terminal_size().columns if sys.stdout.isatty() else None)
     shown_until: dict[str, float] = {}
-    narrow_streams: set[str] = set()  # whose channels without room have been remarked on
-    warned = False
+    narrow_streams: set[str] = set()  # those of which it was said that channels have no room
+    has_warned = False
     if run_tail.other_streams and not (channels or as_json):
-        remark(f"other streams: {', '.join(run_tail.other_streams)}; name channels to see theirs (runs show has them)")
+        print_remark(
+            f"other streams: {', '.join(run_tail.other_streams)}; name channels to see theirs (runs show has them)"
+        )
     while True:
         start_s = time.monotonic()
         new_rows = run_tail.read()
         read_duration_s = time.monotonic() - start_s
         for rows_of_stream in new_rows:
-            shown = thinned(rows_of_stream, every, shown_until)
-            lines = map(json.dumps, shown.as_json()) if as_json else printer.lines(shown)
+            shown_rows = thinned(rows_of_stream, every, shown_until)
+            lines = map(json.dumps, shown_rows.as_json()) if as_json else printer.lines(shown_rows)
             for line in lines:
                 typer.echo(line)
             sys.stdout.flush()
         for stream, left_out in printer.left_out.items():
             if left_out and stream not in narrow_streams:
                 narrow_streams.add(stream)
-                remark(f"no room for {', '.join(left_out)}: name the channels to see, or widen the terminal")
+                print_remark(f"no room for {', '.join(left_out)}: name the channels to see, or widen the terminal")
         unwritten_s = run_tail.unwritten_s() if run_tail.is_recording else 0.0
-        if unwritten_s > UNWRITTEN_S and not warned:
-            silence = f"not written for {duration(unwritten_s)}"
-            remark(f"{run}: {silence}; if its run was killed, no row will come: leactl runs recover {run}")
-        warned = unwritten_s > UNWRITTEN_S
+        if unwritten_s > UNWRITTEN_S and not has_warned:
+            silence_text = f"not written for {duration(unwritten_s)}"
+            print_remark(f"{run}: {silence_text}; if its run was killed, no row will come: leactl runs recover {run}")
+        has_warned = unwritten_s > UNWRITTEN_S
         if not (follow and run_tail.is_recording):
             break
         time.sleep(max(POLL_S, read_duration_s / BUSY_SHARE))
     if follow:
-        remark(f"{run}: {run_tail.status_text}")
+        print_remark(f"{run}: {run_tail.status_text}")

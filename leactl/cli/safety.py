@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from leactl.cli import confirmed, finite
-from leactl.cli.completion import benches
+from leactl.cli.completion import complete_bench
 from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
 from leactl.errors import SafetyTrip
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from leactl.runner.drill.real import RealDrill
 
 app = group_of_commands()
-PAGE = """# The drill of the bench `{bench}`
+REPORT_HEADING = """# The drill of the bench `{bench}`
 
 Written by `{command}`; `leactl docs safety` says what the columns mean, `leactl docs faults` what the faults are.
 
@@ -40,7 +40,7 @@ def safety() -> None:
 )
 def drill(
     bench: str = typer.Argument(
-        "emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches
+        "emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=complete_bench
     ),
     only: list[str] = typer.Option([], metavar="NAME", help="This rehearsal alone; `leactl bench faults` lists them."),
     yes: bool = typer.Option(False, "--yes", help="Do not ask before each rehearsal on a real bench."),
@@ -61,7 +61,7 @@ def drill(
     from leactl.report.drill import markdown, planned_body, planned_text, print_drill
 
     if dry_run:
-        body = planned_body(_planned(bench, only, served, bus, out or Path()))
+        body = planned_body(_planned_drill(bench, only, served, bus, out or Path()))
         typer.echo(json.dumps(body) if as_json else planned_text(body))
         return
     if report is not None:
@@ -74,7 +74,7 @@ def drill(
             drilled = _drill(bench, only, yes, served, bus, Path(folder))
         drilled = replace(drilled, findings=[replace(finding, run="") for finding in drilled.findings])
     if report is not None:
-        heading = PAGE.format(bench=drilled.bench, command=_command(bench, only, report))
+        heading = REPORT_HEADING.format(bench=drilled.bench, command=_report_command(bench, only, report))
         _write_report(report, heading + markdown(drilled))
     if as_json:
         typer.echo(json.dumps(drilled.as_json()))
@@ -82,8 +82,10 @@ def drill(
         print_drill(drilled)
     failures = [finding for finding in drilled.findings if not finding.held]
     if failures:
-        texts = "; ".join(f"{finding.name} {finding.on}".strip() + f": {finding.faults[0]}" for finding in failures)
-        raise SafetyTrip(f"{len(failures)} of {len(drilled.findings)} did not end as they ought to: {texts}")
+        failure_texts = "; ".join(
+            f"{finding.name} {finding.on}".strip() + f": {finding.faults[0]}" for finding in failures
+        )
+        raise SafetyTrip(f"{len(failures)} of {len(drilled.findings)} did not end as they ought to: {failure_texts}")
 
 
 @app.command(
@@ -96,7 +98,7 @@ def drill(
 )
 def challenge(
     bench: str = typer.Argument(
-        "emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches
+        "emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=complete_bench
     ),
     minutes: float = typer.Option(1.0, help="Time for all searches together.", callback=finite),
     rate: list[float] = typer.Option(
@@ -131,16 +133,20 @@ def challenge(
     motors = motors_of(file)
     settings = guard_settings(file, devices, motors)
     searches = hunts(list(motors.items()), rates, READINGS)
-    results = []
-    for number, (role, motor, rate_hz, reading) in enumerate(searches, start=1):
-        typer.echo(f"search {number} of {len(searches)}: {role}, {rate_hz:g} Hz, {reading} angle", err=True)
+    search_results = []
+    for search_number, (role, motor, rate_hz, reading) in enumerate(searches, start=1):
+        typer.echo(f"search {search_number} of {len(searches)}: {role}, {rate_hz:g} Hz, {reading} angle", err=True)
         seconds = 60.0 * minutes / len(searches)
-        results.append(hunt(role, motor, settings, rate_hz, reading, seconds, seed, optimiser=optimiser))
+        search_results.append(hunt(role, motor, settings, rate_hz, reading, seconds, seed, optimiser=optimiser))
     typer.echo(
-        json.dumps(challenge_json(results, settings.limit)) if as_json else challenge_text(results, settings.limit)
+        json.dumps(challenge_json(search_results, settings.limit))
+        if as_json
+        else challenge_text(search_results, settings.limit)
     )
-    if beaten := [search for search in results if not search.held(settings.limit)]:
-        raise SafetyTrip(f"{len(beaten)} of {len(results)} searches found a winding hotter than the guard lets it be")
+    if beaten_searches := [search for search in search_results if not search.held(settings.limit)]:
+        raise SafetyTrip(
+            f"{len(beaten_searches)} of {len(search_results)} searches found a winding hotter than the guard lets it be"
+        )
 
 
 def _drill(bench: str, only: list[str], yes: bool, served: bool, bus: list[str], directory: Path) -> "Drilled":
@@ -154,7 +160,7 @@ def _drill(bench: str, only: list[str], yes: bool, served: bool, bus: list[str],
     return _real_drill(bench, only, yes, served, bus, directory).run()
 
 
-def _planned(bench: str, only: list[str], served: bool, bus: list[str], directory: Path) -> "PlannedDrill":
+def _planned_drill(bench: str, only: list[str], served: bool, bus: list[str], directory: Path) -> "PlannedDrill":
     """Return the rehearsals that a drill would make, without opening a device."""
     from leactl.runner.drill.emulated import EmulatedDrill
 
@@ -201,6 +207,7 @@ def _real_drill(bench: str, only: list[str], yes: bool, served: bool, bus: list[
 
 
 def _make_folder(directory: Path) -> None:
+    """Make the folder of `--out`; raise InputError if that fails."""
     from leactl.errors import InputError
 
     try:
@@ -210,6 +217,7 @@ def _make_folder(directory: Path) -> None:
 
 
 def _write_report(path: Path, text: str, mode: str = "w") -> None:
+    """Write a text to the file of `--report`; raise InputError if that fails."""
     from leactl.errors import InputError
 
     try:
@@ -219,6 +227,6 @@ def _write_report(path: Path, text: str, mode: str = "w") -> None:
         raise InputError(f"--report {path}: {error.strerror or error}") from None
 
 
-def _command(bench: str, only: list[str], report: Path) -> str:
-    """Return the command line that writes the report, which the report names."""
+def _report_command(bench: str, only: list[str], report: Path) -> str:
+    """Return the command line that makes this report, as the report shows it."""
     return " ".join(["leactl safety drill", bench, *(f"--only {name}" for name in only), f"--report {report}"])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from leactl.cli import finite
-from leactl.cli.completion import benches, motors, protocols, settings
+from leactl.cli.completion import complete_bench, complete_motor, complete_protocol, complete_setting
 from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
 from leactl.cli.run import ATTENDED
 from leactl.errors import AcceptanceFailed
@@ -21,15 +21,19 @@ AS_JSON = typer.Option(False, "--json", help="Print JSON on stdout.")
 AMBIENT = typer.Option(
     25.0, "--ambient", min=-40.0, max=60.0, help="Temperature of the air around the actuator [degC].", callback=finite
 )
-BENCH = typer.Option("emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches)
-SET = typer.Option([], "--set", metavar="NAME=VALUE", help="Set a parameter of the protocol.", autocompletion=settings)
+BENCH = typer.Option("emulated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=complete_bench)
+SET = typer.Option(
+    [], "--set", metavar="NAME=VALUE", help="Set a parameter of the protocol.", autocompletion=complete_setting
+)
 ACTUATOR = typer.Option("", help="Label of the actuator under test.")
 COLD = typer.Option(False, "--cold", help="Nothing has heated the actuators.")
 
 
 @app.command(epilog=examples("thermal limits --motor lea --ambient 30"))
 def limits(
-    motor: str = typer.Option("lea", help="Name of a shipped motor, or a path to a .yaml.", autocompletion=motors),
+    motor: str = typer.Option(
+        "lea", help="Name of a shipped motor, or a path to a .yaml.", autocompletion=complete_motor
+    ),
     ambient: float = AMBIENT,
     speed: list[float] = typer.Option(
         [31.4], min=0.0, max=1000.0, help="Further speeds [rad/s], for the heat of friction.", callback=finite
@@ -44,19 +48,19 @@ def limits(
     from leactl.safety.thermal.guarded_currents import PEAKS_S, continuous, peaks
 
     motor_model = load_motor(motor)[0]
-    continuous_points = continuous(motor_model, ambient, speed)
-    peak_points = peaks(motor_model, ambient, PEAKS_S)
+    continuous_limits = continuous(motor_model, ambient, speed)
+    peak_limits = peaks(motor_model, ambient, PEAKS_S)
     if as_json:
         body = {
             "motor": motor_model.name,
             "ambient_degC": ambient,
             "winding_limit_degC": motor_model.limits.winding_temperature,
-            "continuous": [asdict(point) for point in continuous_points],
-            "peak": [asdict(point) for point in peak_points],
+            "continuous": [asdict(point) for point in continuous_limits],
+            "peak": [asdict(point) for point in peak_limits],
         }
         typer.echo(json.dumps(body))
         return
-    typer.echo(limits_text(motor_model, ambient, continuous_points, peak_points))
+    typer.echo(limits_text(motor_model, ambient, continuous_limits, peak_limits))
 
 
 @app.command(epilog=examples("thermal state --bench emulated"))
@@ -92,7 +96,9 @@ def fit(
     runs: list[Path] = typer.Argument(
         metavar="RUN...", help="Runs or folders; those with temperatures of winding, housing and ambient are fitted."
     ),
-    motor: str = typer.Option("lea", help="Name of a shipped motor, or a path to a .yaml.", autocompletion=motors),
+    motor: str = typer.Option(
+        "lea", help="Name of a shipped motor, or a path to a .yaml.", autocompletion=complete_motor
+    ),
     as_json: bool = AS_JSON,
 ) -> None:
     """Fit the thermal network and the resistance of each actuator, and state the tolerances that its runs leave."""
@@ -112,7 +118,9 @@ def fit(
 
 @app.command(epilog=examples("thermal plan thermal --bench emulated-heated --cold"))
 def plan(
-    protocol: str = typer.Argument(help="Name of a shipped protocol, or a path to a .yaml.", autocompletion=protocols),
+    protocol: str = typer.Argument(
+        help="Name of a shipped protocol, or a path to a .yaml.", autocompletion=complete_protocol
+    ),
     bench: str = BENCH,
     overrides: list[str] = SET,
     condition: str = typer.Option("", help="Condition of the run."),
@@ -128,18 +136,18 @@ def plan(
     from leactl.runner.thermal_admission import Windings
 
     file, devices, _document = load_checked(bench)
-    expanded = load(protocol, read_overrides(overrides), condition)
+    protocol_plan = load(protocol, read_overrides(overrides), condition)
     windings = Windings(file, devices, actuator, cold=cold)
-    forecast = windings.forecast(expanded)
-    with_waits = expanded
+    forecast = windings.forecast(protocol_plan)
+    admitted_plan = protocol_plan
     if forecast.passing is not None:
         try:
-            with_waits = windings.admit(expanded, insert_cooldown=True)
+            admitted_plan = windings.admit(protocol_plan, insert_cooldown=True)
         except InputError:
-            with_waits = expanded
-    waits = [row for row in with_waits.timeline() if row.name == "cooldown"]
+            admitted_plan = protocol_plan
+    cooldowns = [row for row in admitted_plan.timeline() if row.name == "cooldown"]
     body = {
-        "protocol": expanded.name,
+        "protocol": protocol_plan.name,
         "limit_degC": windings.settings.limit,
         "peaks_degC": {role: round(value, 2) for role, value in forecast.peaks.items()},
         "passes": None
@@ -150,7 +158,7 @@ def plan(
             "role": forecast.passing.role,
         },
         "turning_from_Hz": forecast.turning_from_hz,
-        "cooldowns": [{"start_s": round(row.start_s, 3), "duration_s": row.duration_s} for row in waits],
+        "cooldowns": [{"start_s": round(row.start_s, 3), "duration_s": row.duration_s} for row in cooldowns],
     }
     typer.echo(json.dumps(body) if as_json else forecast_text(body))
 
@@ -164,10 +172,10 @@ def plan(
 )
 def commission(
     protocol: str = typer.Argument(
-        "thermal", help="Name of a shipped heated protocol, or a path to a .yaml.", autocompletion=protocols
+        "thermal", help="Name of a shipped heated protocol, or a path to a .yaml.", autocompletion=complete_protocol
     ),
     bench: str = typer.Option(
-        "emulated-heated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=benches
+        "emulated-heated", help="Name of a shipped bench, or a path to a .yaml.", autocompletion=complete_bench
     ),
     overrides: list[str] = SET,
     actuator: str = typer.Option("", help="Label of the actuator that is commissioned; required."),
@@ -211,23 +219,25 @@ def commission(
     from leactl.runner.request import prepare
     from leactl.runner.stop_requests import signals_kept_to_the_end
 
-    target = file or Path(f"{actuator.replace('/', '-')}.yaml")
-    check_files([target], given)
+    motor_file = file or Path(f"{actuator.replace('/', '-')}.yaml")
+    check_files([motor_file], given)
     check_folder(out)
 
-    def prepared(changes: Mapping[str, str]) -> "Request":
+    def request_with(changes: Mapping[str, str]) -> "Request":
+        """Return the request of a run with some parameters changed."""
         unchanged = [word for word in overrides if word.partition("=")[0] not in changes]
-        words = [*unchanged, *(f"{name}={value}" for name, value in changes.items())]
-        request = prepare(protocol, bench, words, actuator, condition, operator, out, realtime, served, bus)
+        assignments = [*unchanged, *(f"{name}={value}" for name, value in changes.items())]
+        request = prepare(protocol, bench, assignments, actuator, condition, operator, out, realtime, served, bus)
         return replace(request, plan=replace(request.plan, attended=attended or request.plan.attended))
 
     accuracy = Accuracy(camera_gain, camera_offset, current_repeats)
-    options = CommissionOptions(prepared, perform, _tell, runs, given, accuracy, cold, dry_run)
+    options = CommissionOptions(request_with, perform, _tell, runs, given, accuracy, cold, dry_run)
     with signals_kept_to_the_end():
-        commissioning = commissioned(options, target)
+        commissioning = commissioned(options, motor_file)
     body = commissioned_body(commissioning, protocol, actuator)
     typer.echo(json.dumps(body) if as_json else commissioned_text(body))
 
 
 def _tell(text: str) -> None:
+    """Print a message on stderr."""
     typer.echo(f"leactl: {text}", err=True)

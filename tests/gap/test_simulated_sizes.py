@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leactl.cli.gap import repeated
+from leactl.cli.gap import with_option_repeated
 from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, EffectParameter
 from leactl.gap.equations.contract import Equation
 from leactl.gap.signals.derived import fast_signals
@@ -129,4 +129,4 @@ def test_an_ambient_that_is_warmer_than_the_simulator_s_is_no_sign_of_another_ma
     ],
 )
 def test_the_option_stands_for_all_runs_up_to_the_next(line, words):
-    assert repeated(line.split()) == words.split()
+    assert with_option_repeated(line.split()) == words.split()
