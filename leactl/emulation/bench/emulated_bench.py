@@ -259,6 +259,7 @@ class EmulatedBench:
         return Noise(self._seed, self._noise_stream_count)
 
     def _machine(self, role: str) -> EmulatedMachine:
+        """Return the actuator of a role as its drive reads it, with the noise of the bench file."""
         settings = self._settings
         actuator = self.rig.actuators[role]
         return EmulatedMachine(
@@ -286,5 +287,6 @@ class EmulatedBench:
         self.far_ends[device.name] = far_end
 
     def _keep_time(self, far_end: BuslessEmulator) -> None:
+        """Let the clock drive an emulator that has no wire to do so."""
         self.time.follow(far_end.tick)
         self.time.stop_at(lambda: far_end.due)

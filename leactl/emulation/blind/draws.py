@@ -120,6 +120,7 @@ def _draw_unlisted(draw: Generator, name: str, strength: str) -> PlantedEffect:
 
 
 def _draw_spread(draw: Generator) -> Spread:
+    """Draw the noise of a case's sensors: each nominal standard deviation changed by up to 15 %."""
     nominal_spread = Spread()
     return Spread(**{name: value * float(draw.uniform(0.85, 1.15)) for name, value in vars(nominal_spread).items()})
 
@@ -133,6 +134,7 @@ def _draw_run(
     spread: Spread,
     planted_effects: Sequence[PlantedEffect],
 ) -> RunDraw:
+    """Draw a run of a kind; it starts warm or close to ambient."""
     ambient = base.bench.ambient_temperature
     if kind == "heating":
         housing = ambient + draw.uniform(0.0, 1.0)
@@ -159,6 +161,7 @@ def _draw_run(
 
 
 def _draw_for_run(draw: Generator, effect: PlantEffect) -> PlantEffect:
+    """Return an effect as it acts in another run."""
     return effect.afresh(draw) if isinstance(effect, Unlisted) else effect
 
 

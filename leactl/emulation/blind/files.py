@@ -67,6 +67,7 @@ def write_heated(folder: Path, case: BlindCase, run: RunDraw, heated: HeatedRun)
 def _write(
     folder: Path, case: BlindCase, run: RunDraw, streams: dict[str, tuple[dict[str, ChannelSpec], dict[str, Array]]]
 ) -> None:
+    """Write a run file; `streams` has the channel specifications and the channels of each stream."""
     info = RunInfo(
         run_id=f"{case.name}-{run.name}",
         protocol=run.kind,

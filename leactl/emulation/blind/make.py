@@ -75,6 +75,7 @@ def make(
 def _check(
     count: int, out: Path, key_dir: Path, kinds: Sequence[str], effects: Sequence[str], strengths: Sequence[str]
 ) -> None:
+    """Raise InputError with a line for each argument from which cases cannot be made."""
     faults = faults_of(count, out, key_dir, kinds)
     for argument, given_names, known_names in (
         ("effect", effects, effects_on("bench")),

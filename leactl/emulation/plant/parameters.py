@@ -23,10 +23,12 @@ def switch(default: bool) -> Any:
 
 
 def _positive(default: float) -> Any:
+    """Declare a field that is a positive number."""
     return bounded(default, 1e-12)
 
 
 def _not_negative(default: float) -> Any:
+    """Declare a field that is zero or a positive number."""
     return bounded(default, 0.0)
 
 

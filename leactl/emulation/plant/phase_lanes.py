@@ -48,8 +48,8 @@ class PhaseLanes:
         direct current through two leads [A]; each is constant over its interval and has the shape of the result.
         """
         hottest = np.empty(current.shape)
-        for first in range(0, len(current), BLOCK):
-            block = slice(first, first + BLOCK)
+        for first_interval in range(0, len(current), BLOCK):
+            block = slice(first_interval, first_interval + BLOCK)
             squares = self._squares(current[block], velocity[block])
             if line_current is not None:
                 squares += lead_squares(line_current[block] ** 2)

@@ -65,6 +65,7 @@ class CanWire:
             self._send_to_devices(frame, sender)
 
     def _send_to_devices(self, frame: Frame, sender: "EmulatedCanBus") -> None:
+        """Give a host's frame to all devices and the other hosts; pass on the devices' answers."""
         if self.cut:
             return
         now = self.clock.now()
@@ -77,6 +78,7 @@ class CanWire:
                 self._pass_from_device(device, answers)
 
     def _pass_from_device(self, device: CanEmulator, frames: list[Frame]) -> None:
+        """Pass on the frames of a device to the hosts, with the faults of the wire."""
         if self._disturbances:
             for frame in frames:
                 self._deliver(frame, device, partial(self._send_to_hosts, [frame]))
@@ -98,6 +100,7 @@ class CanWire:
         heapq.heappush(self._delayed_frames, (self.clock.now() + delay, self._delayed_count, deliver))
 
     def _pass_time(self, now: float) -> None:
+        """Deliver the delayed frames that are due at a time [s], and let the devices that are due send."""
         while self._delayed_frames and self._delayed_frames[0][0] <= now:
             heapq.heappop(self._delayed_frames)[2]()
         for device in self.devices:
@@ -105,6 +108,7 @@ class CanWire:
                 self._pass_from_device(device, device.tick(now))
 
     def _send_to_hosts(self, frames: list[Frame]) -> None:
+        """Give frames of a device to all hosts, unless the cable is cut or the controller is off."""
         if self.cut or self.off:
             return
         for host in self.hosts:

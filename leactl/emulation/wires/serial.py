@@ -56,6 +56,7 @@ class SerialWire:
         return b"" if self.cut else bytes(received)
 
     def _pass_time(self, now: float) -> None:
+        """Let bytes arrive and the device act, in their order, up to a time [s]."""
         device = self.device
         if device is None:
             return

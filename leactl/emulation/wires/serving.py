@@ -88,6 +88,7 @@ class CanBridge:
         self._pass_answers()
 
     def _pass_answers(self) -> None:
+        """Send the frames that have arrived from the emulated bus to the real one."""
         while self._emulated_bus.arrived:
             self.real_bus.send(message_of(self._emulated_bus.arrived.popleft()))
 
@@ -195,6 +196,13 @@ def bridge_buses(
 
 
 def _open_real_bus(name: str, bus: CanBus) -> tuple[str, HostSide]:
+    """Open the real CAN bus of a bench file, or an slcan adapter; return its address for the user, and the bus.
+
+    Raises
+    ------
+    InputError : the interface ends with this process.
+    DeviceError : the bus cannot be opened.
+    """
     if bus.interface == "pty":
         adapter = SlcanAdapter()
         return f"slcan on {adapter.path}", adapter

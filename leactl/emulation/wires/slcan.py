@@ -41,6 +41,7 @@ class SlcanAdapter:
         self._terminal.close()
 
     def _read(self) -> None:
+        """Read what the client has sent, and answer each complete command."""
         self._unfinished_command += self._terminal.read()
         *commands, self._unfinished_command = self._unfinished_command.split(CR)
         self._unfinished_command = self._unfinished_command[

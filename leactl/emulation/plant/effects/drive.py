@@ -38,6 +38,7 @@ class PlantCommandSlewLimit(PlantEffect):
         highest_change = self.rate * step_s
 
         def step(reference: Value) -> Value:
+            """Return the reference [A] that the rate allows in this step."""
             np.add(
                 limited_reference,
                 np.minimum(np.maximum(reference - limited_reference, -highest_change), highest_change),

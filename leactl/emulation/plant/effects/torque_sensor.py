@@ -78,12 +78,12 @@ class PlantTorqueSensorHysteresis(PlantEffect):
     """
 
     needs_whole_record: ClassVar[bool] = True
-    width: float = bounded(0.0, 0.0, 0.5)  # half width of the loop as a share of the record's torque swing
+    width: float = bounded(0.0, 0.0, 0.5)  # half width of the loop over the amplitude of the record's torque
 
     def torque_record(self, torque: Value, angle: Value, time: Value) -> Value:
         """Return the torque less the mean torque that the sliders hold, which the reach of each limits [N*m]."""
-        swing = 0.5 * (torque.max(axis=0) - torque.min(axis=0)) + 1e-9
-        reach = REACH_SHARES[:, None] * swing
+        amplitude = 0.5 * (torque.max(axis=0) - torque.min(axis=0)) + 1e-9
+        reach = REACH_SHARES[:, None] * amplitude
         reading_per_held = self.width / REACH_SHARES.mean()
         held_torque = np.zeros_like(reach)
         previous_torque = torque[0]

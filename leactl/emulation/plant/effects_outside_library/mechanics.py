@@ -71,6 +71,7 @@ class HangingResonator(Unlisted):
         twist, part_velocity = np.zeros(lanes), np.zeros(lanes)
 
         def torque(now: Now) -> Value:
+            """Advance the part by a step; return its torque on the rotor [N*m]."""
             relative_velocity = now.velocity - part_velocity
             np.add(twist, relative_velocity * step_s, out=twist)
             spring_torque = stiffness * twist + damping * relative_velocity

@@ -50,6 +50,7 @@ class Propagator:
         return self.steps[level]
 
     def _stack(self, level: int) -> Array:
+        """Stack the rows that give the state after 2^level ticks and those that give the margins on the way."""
         return np.ascontiguousarray(np.vstack([self._transitions[level][:STATES], self._margin_rows[level]]))
 
     def net_torque(self, k: int, point: Array) -> float:

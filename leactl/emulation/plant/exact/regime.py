@@ -16,7 +16,8 @@ Array = NDArray[np.float64]
 
 # State: current, velocity, angle, servo integral and filtered velocity of each actuator; then the shaft's twist and the
 # filtered torque. In current mode the integral is the lagged setpoint, from which the lead is computed. Inputs:
-# setpoint, torque of effects and voltage correction of each actuator; then the constant 1.
+# setpoint, torque of effects and voltage correction of each actuator; then the constant 1. Below, `k` is the index of
+# an actuator (0 test, 1 load), and `x` that of its first state.
 CURRENT, VELOCITY, ANGLE, INTEGRAL, FILTERED = range(5)
 SETPOINT, TORQUE, CORRECTION = range(3)
 PER_ACTUATOR = 5

@@ -46,7 +46,7 @@ SETUPS = ("free", "locked", "coupled", "heated")
 ROLES = ("test", "load")
 MARGIN_TOLERANCE = 1e-9  # in the margin's unit
 LEAST_ADVANCE_S = 1e-9  # rounding error of the requested times; a shorter time changes nothing
-RESTART_LEVEL = 3  # of the step after a change of regime: 0.25 ms
+RESTART_LEVEL = 3  # level of the first step after a change of regime: 0.25 ms
 MOST_REGIME_CHANGES = 8  # without any time between them
 LEAST_POWERED_V = 10.0  # DC link voltage below which the drives are off
 LEAST_VOLTAGE_CHANGE = 0.01  # V, of the DC link; a smaller change keeps the matrices
@@ -143,17 +143,20 @@ class Rig:
         self.heater_current = 0.0  # A, DC through two leads of the test actuator, heated setup only
         self.hung_torque = 0.0  # N*m, of weights on an arm of the torque sensor
         test_parameters, load_parameters = test or ActuatorParameters(), load or ActuatorParameters()
-        pair = [
+        actuators = [
             Actuator(self, k, p, self.bench.ambient_temperature)
             for k, p in enumerate((test_parameters, load_parameters))
         ]
-        self._pair = pair
-        self.actuators = dict(zip(ROLES, pair, strict=True))
+        self._pair = actuators
+        self.actuators = dict(zip(ROLES, actuators, strict=True))
         refuse_unused_phase_settings(self.bench, test_parameters, load_parameters)
-        offsets = tuple(self._sense_current(k, 0.0) for k in (0, 1))
-        gains = tuple(self._sense_current(k, 1.0) - offsets[k] for k in (0, 1))
+        current_offsets = tuple(self._sense_current(k, 0.0) for k in (0, 1))
+        current_gains = tuple(self._sense_current(k, 1.0) - current_offsets[k] for k in (0, 1))
         self._plant = RigParameters(
-            (test_parameters, load_parameters), self.bench, (gains[0], gains[1]), (offsets[0], offsets[1])
+            (test_parameters, load_parameters),
+            self.bench,
+            (current_gains[0], current_gains[1]),
+            (current_offsets[0], current_offsets[1]),
         )
         self._torque_effects = [
             [effect for effect in self.effects if effect.adds_torque and effect.role == role] for role in ROLES
@@ -165,9 +168,9 @@ class Rig:
         self._idle_changes = 0  # of the regime, since time last passed
         self._squared_current_integrals = [0.0, 0.0]  # A^2*s since the last thermal step
         self._friction_heat = [0.0, 0.0]  # J since the last thermal step
-        self._phases = RigPhases(pair, self.bench.ambient_temperature) if self.bench.phase_resolved else None
+        self._phases = RigPhases(actuators, self.bench.ambient_temperature) if self.bench.phase_resolved else None
         self._propagators: dict[Regime, Propagator] = {}
-        self._resistances = [a.resistance for a in pair]
+        self._resistances = [a.resistance for a in actuators]
         self._regime = Regime(setup, (ActuatorRegime(), ActuatorRegime()), (test_parameters.phase_resistance,) * 2)
         self._enter(self._regime)
 
@@ -356,9 +359,9 @@ class Rig:
         """Update the resistances, and the matrices if one has changed by more than `MOST_RESISTANCE_CHANGE`."""
         is_stale = False
         for k in (0, 1):
-            self._resistances[k] = exact = self._pair[k].resistance
-            rounded = self._regime.resistances[k]
-            is_stale = is_stale or abs(exact - rounded) > MOST_RESISTANCE_CHANGE * rounded
+            self._resistances[k] = resistance = self._pair[k].resistance
+            matrix_resistance = self._regime.resistances[k]
+            is_stale = is_stale or abs(resistance - matrix_resistance) > MOST_RESISTANCE_CHANGE * matrix_resistance
         if is_stale:
             level = self._level
             self._enter(self._regime._replace(resistances=(self._resistances[0], self._resistances[1])))
@@ -366,9 +369,9 @@ class Rig:
 
     def _set_voltage_correction(self) -> None:
         """Set the voltage correction for the difference between each resistance and the rounded one of the matrices."""
-        point, rounded = self._point, self._regime.resistances
+        point, matrix_resistances = self._point, self._regime.resistances
         for k in (0, 1):
-            resistance_excess = self._pair[k].resistance - rounded[k]
+            resistance_excess = self._pair[k].resistance - matrix_resistances[k]
             point[STATES + k * INPUTS + CORRECTION] = resistance_excess * point[k * PER_ACTUATOR + CURRENT]
 
     def _set_effect_torques(self) -> None:
@@ -380,13 +383,14 @@ class Rig:
                 self._point[STATES + k * INPUTS + TORQUE] = sum(effect.torque(angle, velocity) for effect in effects)
 
     def _step_through(self, duration: float) -> None:
+        """Advance by a duration [s] in steps of 2^level ticks; steps grow until an event shortens them."""
         remaining = duration
         while remaining > LEAST_ADVANCE_S:
-            exact = self._resistances
-            point, rounded = self._point, self._regime.resistances
+            resistances = self._resistances
+            point, matrix_resistances = self._point, self._regime.resistances
             # as in _set_voltage_correction: 14 and 17 are the corrections, 0 and 5 the currents
-            point[14] = (exact[0] - rounded[0]) * point[0]
-            point[17] = (exact[1] - rounded[1]) * point[5]
+            point[14] = (resistances[0] - matrix_resistances[0]) * point[0]
+            point[17] = (resistances[1] - matrix_resistances[1]) * point[5]
             if self._has_torque_effects:
                 self._set_effect_torques()
             ticks = int(remaining / TICK + 1e-6)
@@ -478,20 +482,20 @@ class Rig:
 
     def _refine(self, margin_index: int, duration: float, share: float) -> float:
         """Return the share of a step of at most a tick at which one margin is zero, by steps of the regula falsi."""
-        row, low = self._propagator.margins[margin_index], 0.0
+        row, low_share = self._propagator.margins[margin_index], 0.0
         margin: Callable[[float], float] = lambda x: float(row @ self._propagator.after(self._point, x * duration))  # noqa: E731
-        low_value, high, high_value = margin(0.0), 1.0, margin(1.0)
-        if low_value <= 0.0:
+        low_margin, high_share, high_margin = margin(0.0), 1.0, margin(1.0)
+        if low_margin <= 0.0:
             return 0.0
         for _ in range(4):
-            value = margin(share)
-            if abs(value) < 0.1 * MARGIN_TOLERANCE:
+            present_margin = margin(share)
+            if abs(present_margin) < 0.1 * MARGIN_TOLERANCE:
                 break
-            if value > 0.0:
-                low, low_value = share, value
+            if present_margin > 0.0:
+                low_share, low_margin = share, present_margin
             else:
-                high, high_value = share, value
-            share = low + (high - low) * low_value / (low_value - high_value)
+                high_share, high_margin = share, present_margin
+            share = low_share + (high_share - low_share) * low_margin / (low_margin - high_margin)
         return share
 
     def _switch(self, switch: Switch) -> None:

@@ -37,12 +37,12 @@ def _heat(lanes: Sequence[Lane], currents: Sequence[Array]) -> list[HeatedRun]:
     reference_resistance = column(lanes, lambda lane: lane.test.phase_resistance)
     coefficient = column(lanes, lambda lane: lane.test.resistance_coefficient)
     reference = column(lanes, lambda lane: lane.test.reference_temperature)
-    most_rows, count = max(len(line_current) for line_current in currents), len(lanes)
-    program = np.zeros((most_rows, count))
+    most_rows, lane_count = max(len(line_current) for line_current in currents), len(lanes)
+    program = np.zeros((most_rows, lane_count))
     for k, line_current in enumerate(currents):
         program[: len(line_current), k] = line_current
-    standstill = np.zeros(count)
-    voltage, camera = np.zeros((most_rows, count)), np.zeros((most_rows, 2, count))
+    standstill = np.zeros(lane_count)
+    voltage, camera = np.zeros((most_rows, lane_count)), np.zeros((most_rows, 2, lane_count))
 
     def resistance(time: float) -> Array:
         """Return the phase resistance of every lane [ohm] at a time [s]."""

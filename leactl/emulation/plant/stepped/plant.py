@@ -29,24 +29,28 @@ class SteppedPlant:
     """
 
     def __init__(self, lanes: Sequence[Lane]) -> None:
-        self.lanes, self.time, count = tuple(lanes), 0.0, len(lanes)
+        self.lanes, self.time, lane_count = tuple(lanes), 0.0, len(lanes)
         self._groups_by_hook = groups_by_hook = bind(lanes)
         self.thermal = ThermalLanes(lanes, groups_by_hook)
         self._take_parameters()
-        shape = (2, count)
+        shape = (2, lane_count)
         self.velocity, self.current = np.zeros(shape), np.zeros(shape)
         self.current_mean, self.voltage_mean = np.zeros(shape), np.zeros(shape)
-        self.velocity_read, self.torque_read = np.zeros(shape), np.zeros(count)
+        self.velocity_read, self.torque_read = np.zeros(shape), np.zeros(lane_count)
         self.angle = np.array([[lane.angle for lane in lanes]] * 2)
         self.bus_voltage = self._source_voltage.copy()
         self._leading_angle = self.angle.copy()  # half a sub-step ahead of the velocity
-        self._filtered_velocity, self._filtered_torque = np.zeros(shape), np.zeros(count)
+        self._filtered_velocity, self._filtered_torque = np.zeros(shape), np.zeros(lane_count)
         self._free_velocity, self._friction_loss, self._net_torque = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         self._target, self._current_change, self._mid_current = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-        self._reference, self._shaft_twist, self._shaft_torque = np.zeros(shape), np.zeros(count), np.zeros(count)
-        self._substep_velocities, self._substep_torques = np.zeros((SUBSTEPS, *shape)), np.zeros((SUBSTEPS, count))
+        self._reference, self._shaft_twist, self._shaft_torque = (
+            np.zeros(shape),
+            np.zeros(lane_count),
+            np.zeros(lane_count),
+        )
+        self._substep_velocities, self._substep_torques = np.zeros((SUBSTEPS, *shape)), np.zeros((SUBSTEPS, lane_count))
         self._magnet_shares = np.ones(shape)
-        self._scratch_pair, self._scratch_lane = np.zeros(shape), np.zeros(count)
+        self._scratch_pair, self._scratch_lane = np.zeros(shape), np.zeros(lane_count)
         self._lane_states: list[Now] = []
         self._make_views()
 
@@ -371,8 +375,8 @@ class SteppedPlant:
     def kinetic_and_strain_energy(self) -> Array:
         """Kinetic energy of the rotors plus strain energy of the shaft [J], shape (lanes,)."""
         kinetic = 0.5 * self._inertia * self.velocity**2
-        total: Array = kinetic.sum(axis=0) + 0.5 * self._stiffness * (self.angle[0] - self.angle[1]) ** 2
-        return total
+        energy: Array = kinetic.sum(axis=0) + 0.5 * self._stiffness * (self.angle[0] - self.angle[1]) ** 2
+        return energy
 
 
 class _Filter:

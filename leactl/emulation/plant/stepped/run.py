@@ -70,29 +70,30 @@ def simulate(lanes: Sequence[Lane], programs: Sequence[DriveReferences]) -> list
 
 
 def _simulate(lanes: Sequence[Lane], programs: Sequence[DriveReferences]) -> list[DriveSignals]:
+    """Run lanes of which those with the same kinds of effects are adjacent, block by block."""
     plant = SteppedPlant(lanes)
     servo = _Servo(lanes, programs)
     lengths = [len(program.current) for program in programs]
     records = [_empty_record(length) for length in lengths]
-    most_ticks, count = max(lengths), len(lanes)
-    block = _Block(*(np.zeros((BLOCK, count)) for _ in _Block._fields))
-    camera = np.zeros((-(-most_ticks // CAMERA_TICKS), 2, count), np.float32)
+    most_ticks, lane_count = max(lengths), len(lanes)
+    block = _Block(*(np.zeros((BLOCK, lane_count)) for _ in _Block._fields))
+    camera = np.zeros((-(-most_ticks // CAMERA_TICKS), 2, lane_count), np.float32)
     noise_generators = [np.random.default_rng([program.seed, 1]) for program in programs]
     velocity_noise = np.array([program.velocity_noise for program in programs])
-    reading = np.zeros((2, count))
-    for start in range(0, most_ticks, BLOCK):
+    reading = np.zeros((2, lane_count))
+    for first_tick in range(0, most_ticks, BLOCK):
         noise_block = (
             np.stack([generator.standard_normal((BLOCK, 2)) for generator in noise_generators], axis=2) * velocity_noise
         )
-        references = _reference_block(programs, start)
-        for row in range(min(BLOCK, most_ticks - start)):
+        references = _reference_block(programs, first_tick)
+        for row in range(min(BLOCK, most_ticks - first_tick)):
             current_references = servo.current(references[0, row], references[1, row], reading)
             plant.advance(current_references)
             np.add(plant.velocity_read, noise_block[row], out=reading)
             _fill_row(block, row, plant, current_references, reading)
             if row % CAMERA_TICKS == 0:
-                camera[(start + row) // CAMERA_TICKS] = plant.thermal.camera()
-        _store_block(block, records, lengths, start)
+                camera[(first_tick + row) // CAMERA_TICKS] = plant.thermal.camera()
+        _store_block(block, records, lengths, first_tick)
     for k, length in enumerate(lengths):
         ticks = -(-length // CAMERA_TICKS)
         records[k]["winding"], records[k]["housing"] = camera[:ticks, 0, k].copy(), camera[:ticks, 1, k].copy()
@@ -137,14 +138,14 @@ class _Servo:
         return command
 
 
-def _reference_block(programs: Sequence[DriveReferences], start: int) -> Array:
+def _reference_block(programs: Sequence[DriveReferences], first_tick: int) -> Array:
     """Return the current and velocity references of one block, shape (2, ticks, lanes); zero after a run's end."""
     references = np.zeros((2, BLOCK, len(programs)))
     for k, program in enumerate(programs):
-        currents = program.current[start : start + BLOCK]
+        currents = program.current[first_tick : first_tick + BLOCK]
         references[0, : len(currents), k] = currents
         if program.velocity is not None:
-            references[1, : len(currents), k] = program.velocity[start : start + BLOCK]
+            references[1, : len(currents), k] = program.velocity[first_tick : first_tick + BLOCK]
     return references
 
 
@@ -165,11 +166,11 @@ def _empty_record(length: int) -> dict[str, Any]:
     return {name: np.zeros(length, np.float64 if name == "angle" else np.float32) for name in _Block._fields}
 
 
-def _store_block(block: _Block, records: Sequence[dict[str, Any]], lengths: Sequence[int], start: int) -> None:
-    """Copy a block that begins at tick `start` into the records, each up to its own length."""
+def _store_block(block: _Block, records: Sequence[dict[str, Any]], lengths: Sequence[int], first_tick: int) -> None:
+    """Copy a block that begins at tick `first_tick` into the records, each up to its own length."""
     for name, values in block._asdict().items():
         lane_values = np.ascontiguousarray(values.T)
         for k, length in enumerate(lengths):
-            ticks_left = length - start
+            ticks_left = length - first_tick
             if ticks_left > 0:
-                records[k][name][start : start + BLOCK] = lane_values[k, :ticks_left]
+                records[k][name][first_tick : first_tick + BLOCK] = lane_values[k, :ticks_left]

@@ -86,6 +86,7 @@ class Sensors:
         return {"time": time, **self._temperatures(run.winding, run.housing)}, supply
 
     def _temperatures(self, winding: NDArray[np.floating], housing: NDArray[np.floating]) -> dict[str, Array]:
+        """Return the temperature channels of the camera, by name."""
         ambient = np.full(len(winding), self._lane.bench.ambient_temperature)
         return {
             "winding": self._noisy("temperature", winding),
