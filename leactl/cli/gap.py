@@ -93,11 +93,11 @@ def diagnose_runs(
     outputs = Outputs(json_out, html, write_model)
     outputs.check([*runs, *held_out, *simulated, *([] if model is None else [model])])
     with ProgressLine() as step:
-        answer = requested_diagnosis(runs, held_out, model, simulated, step)
+        diagnosis = requested_diagnosis(runs, held_out, model, simulated, step)
         step("writing")
-        outputs.write(answer)
+        outputs.write(diagnosis)
     if json_out != STDOUT:
-        print_diagnosis(answer)
+        print_diagnosis(diagnosis)
 
 
 @app.command(epilog=examples("gap simulate nominal.yaml RUN.h5 --out simulated.h5"))

@@ -54,9 +54,9 @@ def ask_question(question: "OpenQuestion") -> str:
     for number, choice in enumerate(question.choices, start=1):
         typer.echo(f"  {number}  {choice}", err=True)
     leave_out_hint = f", {LEAVE_OUT} leaves it out" if question.may_be_left_out else ""
-    expected = f"1 to {len(question.choices)}, or in words" if question.choices else "a number"
+    accepted_text = f"1 to {len(question.choices)}, or in words" if question.choices else "a number"
     while True:
-        typer.echo(f"{expected}{leave_out_hint}: ", err=True, nl=False)
+        typer.echo(f"{accepted_text}{leave_out_hint}: ", err=True, nl=False)
         line = sys.stdin.readline()
         if not line:
             raise Stopped("no answer; nothing is imported")

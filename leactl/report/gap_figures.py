@@ -37,18 +37,18 @@ class Card(NamedTuple):
     figures: list[CaptionedChart]
 
 
-def channel_cards(answer: DiagnosisResult) -> list[Card]:
+def channel_cards(diagnosis: DiagnosisResult) -> list[Card]:
     """Return a card for each channel with a large gap, open gaps first, then gaps that calibration closed."""
-    traces = {(record.quantity, record.role, record.mechanical): record for record in answer.extra.get("traces", ())}
+    traces = {(record.quantity, record.role, record.mechanical): record for record in diagnosis.extra.get("traces", ())}
     profiles = {
-        (record.quantity, record.role, record.mechanical): record for record in answer.extra.get("profiles", ())
+        (record.quantity, record.role, record.mechanical): record for record in diagnosis.extra.get("profiles", ())
     }
     cards = []
     closed_channels = sorted(
-        (record for record in answer.where if not open_gap(record)),
+        (record for record in diagnosis.where if not open_gap(record)),
         key=lambda record: -record.nominal_rms / max(record.floor_rms, 1e-300),
     )
-    for channel in [*filter(open_gap, answer.where), *closed_channels]:
+    for channel in [*filter(open_gap, diagnosis.where), *closed_channels]:
         key = (channel.quantity, channel.role, channel.mechanical)
         if key not in traces or max(channel.nominal_rms, channel.calibrated_rms) < LEAST_GAP_FLOORS * channel.floor_rms:
             continue
@@ -56,13 +56,13 @@ def channel_cards(answer: DiagnosisResult) -> list[Card]:
         if key in profiles and len(profiles[key].low):
             figures.append(profile_figure(profiles[key], channel))
         remark = after_calibration(channel, "practical floor")
-        cards.append(Card(channel_label(channel, answer.where), remark, figures))
+        cards.append(Card(channel_label(channel, diagnosis.where), remark, figures))
     return cards[:MOST_CARDS]
 
 
-def effect_cards(answer: DiagnosisResult) -> list[Card]:
+def effect_cards(diagnosis: DiagnosisResult) -> list[Card]:
     """Return a card for each cause: the residual before and after it is added, over the variable on which it acts."""
-    pictured_causes = [(cause, cause.picture) for cause in answer.causes if cause.picture is not None]
+    pictured_causes = [(cause, cause.picture) for cause in diagnosis.causes if cause.picture is not None]
     return [
         picture_card(cause.effect, picture, LOGGED_AND_MENDED, f"{PICTURE}, against what the channel should read")
         if cause.family == "setup"

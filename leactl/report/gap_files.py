@@ -17,7 +17,7 @@ STDOUT = Path("-")
 
 @dataclass(frozen=True)
 class Outputs:
-    """The files that an answer is written to; `-` for the JSON is stdout."""
+    """The files that a diagnosis is written to; `-` for the JSON is stdout."""
 
     json: Path | None = None
     html: Path | None = None
@@ -36,17 +36,17 @@ class Outputs:
         to_stdout = STDOUT in (self.html, self.model)
         check_files(files, inputs, ["-: only --json goes to stdout; name a file"] if to_stdout else [])
 
-    def write(self, answer: DiagnosisResult) -> None:
+    def write(self, diagnosis: DiagnosisResult) -> None:
         """Write the files, each atomically; JSON on stdout comes last."""
         texts: list[tuple[Path, str]] = []
         if self.model is not None:
-            texts.append((self.model, yaml.safe_dump(as_mapping(answer.extra["augmented"]), sort_keys=False)))
+            texts.append((self.model, yaml.safe_dump(as_mapping(diagnosis.extra["augmented"]), sort_keys=False)))
         if self.html is not None:
             from leactl.report.gap_page import page
 
-            texts.append((self.html, page(answer)))
+            texts.append((self.html, page(diagnosis)))
         if self.json is not None:
-            texts.append((self.json, json.dumps(answer.as_json(), indent=1, allow_nan=False) + "\n"))
+            texts.append((self.json, json.dumps(diagnosis.as_json(), indent=1, allow_nan=False) + "\n"))
         for path, text in texts:
             if path == STDOUT:
                 sys.stdout.write(text)

@@ -48,46 +48,50 @@ MOST_CARDS = 12  # channels that have bars if no effect is added
 SCALE_START = 0.5  # start of the logarithmic scale of the bars, as a multiple of the smallest value
 
 
-def page(answer: DiagnosisResult) -> str:
-    """Return the whole diagnosis as one self-contained page; the same answer gives the same page."""
-    return render("gap.html", **content(answer))
+def page(diagnosis: DiagnosisResult) -> str:
+    """Return the whole diagnosis as one self-contained page; the same diagnosis gives the same page."""
+    return render("gap.html", **content(diagnosis))
 
 
-def content(answer: DiagnosisResult) -> dict[str, Any]:
+def content(diagnosis: DiagnosisResult) -> dict[str, Any]:
     """Return the variables of the template `gap.html` for a diagnosis."""
-    augmented_model, nothing_closes = answer.extra.get("augmented"), closes_nothing(answer)
+    augmented_model, nothing_closes = diagnosis.extra.get("augmented"), closes_nothing(diagnosis)
     return {
         "of_model": f": {augmented_model.name}" if augmented_model is not None else "",
-        "verdict": answer.verdict,
-        "sentence": verdict_sentence(answer),
-        "facts": headline_facts(answer),
-        "simulator": simulator_content(answer.simulator, claimed_effects(answer)) if answer.simulator else None,
-        "causes": [cause_content(cause, nothing_closes) for cause in answer.causes],
+        "verdict": diagnosis.verdict,
+        "sentence": verdict_sentence(diagnosis),
+        "facts": headline_facts(diagnosis),
+        "simulator": simulator_content(diagnosis.simulator, claimed_effects(diagnosis))
+        if diagnosis.simulator
+        else None,
+        "causes": [cause_content(cause, nothing_closes) for cause in diagnosis.causes],
         "closes_nothing": CLOSES_NOTHING if nothing_closes else "",
-        "effect_cards": effect_cards(answer),
-        "rest": rest_content(answer.unexplained) if answer.unexplained else None,
-        "shrinkage": shrinkage_content(answer) if answer.shrinkage else None,
-        "channel_cards": channel_cards(answer),
-        "regions": region_rows(answer),
-        "calibration": calibration_rows(answer),
-        "notes": [code_parts(note) for note in answer.notes],
+        "effect_cards": effect_cards(diagnosis),
+        "rest": rest_content(diagnosis.unexplained) if diagnosis.unexplained else None,
+        "shrinkage": shrinkage_content(diagnosis) if diagnosis.shrinkage else None,
+        "channel_cards": channel_cards(diagnosis),
+        "regions": region_rows(diagnosis),
+        "calibration": calibration_rows(diagnosis),
+        "notes": [code_parts(note) for note in diagnosis.notes],
     }
 
 
-def headline_facts(answer: DiagnosisResult) -> list[str]:
+def headline_facts(diagnosis: DiagnosisResult) -> list[str]:
     """Return the probability that something unexplained acts, the largest gap, and how many channels have none."""
-    facts = [f"Probability that something unexplained acts: {probability_text(answer.unexplained_probability)}."]
-    for channel in largest_first(answer.shrinkage)[:1]:
-        augmented_text = f", {three_digits(channel.augmented_rms)} with the effects" if claimed_effects(answer) else ""
-        closed_clause = f"; closed {closed_text(channel)}" if claimed_effects(answer) else ""
+    facts = [f"Probability that something unexplained acts: {probability_text(diagnosis.unexplained_probability)}."]
+    for channel in largest_first(diagnosis.shrinkage)[:1]:
+        augmented_text = (
+            f", {three_digits(channel.augmented_rms)} with the effects" if claimed_effects(diagnosis) else ""
+        )
+        closed_clause = f"; closed {closed_text(channel)}" if claimed_effects(diagnosis) else ""
         facts.append(
-            f"Largest gap: {channel_label(channel, answer.shrinkage)},"
+            f"Largest gap: {channel_label(channel, diagnosis.shrinkage)},"
             f" {three_digits(channel.calibrated_rms)} {bare_units(channel.units)} after calibration{augmented_text},"
             f" floor {three_digits(channel.floor_rms)}{closed_clause}."
         )
-    if answer.shrinkage:
-        facts += [MENDED_FIRST] if claimed_faults(answer) else []
-        facts.append(f"{closed_count_text(answer.shrinkage)}.")
+    if diagnosis.shrinkage:
+        facts += [MENDED_FIRST] if claimed_faults(diagnosis) else []
+        facts.append(f"{closed_count_text(diagnosis.shrinkage)}.")
     return facts
 
 
@@ -129,22 +133,22 @@ def rest_content(residual: Rest) -> dict[str, Any]:
     }
 
 
-def shrinkage_content(answer: DiagnosisResult) -> dict[str, Any]:
+def shrinkage_content(diagnosis: DiagnosisResult) -> dict[str, Any]:
     """Return the bars of the channels with a gap, and a table of all channels."""
-    has_effects = bool(claimed_effects(answer))
-    open_channels = largest_first(answer.shrinkage)
+    has_effects = bool(claimed_effects(diagnosis))
+    open_channels = largest_first(diagnosis.shrinkage)
     shown_channels = (
-        open_channels if has_effects else [*open_channels, *closed_by_calibration(answer.shrinkage)][:MOST_CARDS]
+        open_channels if has_effects else [*open_channels, *closed_by_calibration(diagnosis.shrinkage)][:MOST_CARDS]
     )
     scale = scale_ends(shown_channels) if shown_channels else (0.0, 0.0)
     rows = [
         [
-            channel_label(channel, answer.shrinkage),
+            channel_label(channel, diagnosis.shrinkage),
             *map(three_digits, rms_by_model(channel)),
             bare_units(channel.units),
             closed_text(channel),
         ]
-        for channel in [*open_channels, *(channel for channel in answer.shrinkage if not open_gap(channel))]
+        for channel in [*open_channels, *(channel for channel in diagnosis.shrinkage if not open_gap(channel))]
     ]
     headings = ["channel", *MODELS, "units", "closed (95 %)"]
     if not has_effects:
@@ -153,8 +157,8 @@ def shrinkage_content(answer: DiagnosisResult) -> dict[str, Any]:
             [cell for k, cell in enumerate(row) if k not in dropped_columns] for row in (headings, *rows)
         )
     return {
-        "channels": [channel_bars(channel, answer.shrinkage, *scale, has_effects) for channel in shown_channels],
-        "count": closed_count_text(answer.shrinkage),
+        "channels": [channel_bars(channel, diagnosis.shrinkage, *scale, has_effects) for channel in shown_channels],
+        "count": closed_count_text(diagnosis.shrinkage),
         "headings": headings,
         "rows": rows,
     }
@@ -199,11 +203,11 @@ def channel_bars(
     return {"label": channel_label(channel, channels), "remark": remark, "bars": bars}
 
 
-def region_rows(answer: DiagnosisResult) -> list[list[str]]:
+def region_rows(diagnosis: DiagnosisResult) -> list[list[str]]:
     """Return a row for each channel with a gap: RMS by model, and the region with most of the gap."""
     return [
         [
-            channel_label(channel, answer.where),
+            channel_label(channel, diagnosis.where),
             three_digits(channel.nominal_rms),
             three_digits(channel.calibrated_rms),
             three_digits(channel.floor_rms),
@@ -211,6 +215,6 @@ def region_rows(answer: DiagnosisResult) -> list[list[str]]:
             multiple_of_floor(channel),
             region_text(channel.region, channel.share),
         ]
-        for channel in answer.where
+        for channel in diagnosis.where
         if open_gap(channel)
     ]

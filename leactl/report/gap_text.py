@@ -41,58 +41,58 @@ NO_BREAK = "\u00a0"  # a space at which no line ends
 MOST_REGIONS = 5
 
 
-def print_diagnosis(answer: DiagnosisResult) -> None:
-    """Print the answer as wide as the terminal, 80 columns into a pipe."""
-    sys.stdout.write(render(answer, terminal_columns(), encoding_of_stdout()))
+def print_diagnosis(diagnosis: DiagnosisResult) -> None:
+    """Print the diagnosis in the width of the terminal, or in 80 columns into a pipe."""
+    sys.stdout.write(render(diagnosis, terminal_columns(), encoding_of_stdout()))
 
 
-def render(answer: DiagnosisResult, width: int = 80, encoding: str = "utf-8") -> str:
+def render(diagnosis: DiagnosisResult, width: int = 80, encoding: str = "utf-8") -> str:
     """Return the whole diagnosis as text for a stream of this width and encoding."""
     width = min(max(width, SMALLEST_WIDTH), WIDEST_NOTE)
     parts = [
-        verdict_part(answer, width),
-        simulator_part(answer, width),
-        unexplained_part(answer, width),
-        shrinkage_part(answer, width),
-        region_part(answer, width),
-        calibration_part(answer, width),
-        "\n".join(filled(f"note: {note}", width) for note in answer.notes),
+        verdict_part(diagnosis, width),
+        simulator_part(diagnosis, width),
+        unexplained_part(diagnosis, width),
+        shrinkage_part(diagnosis, width),
+        region_part(diagnosis, width),
+        calibration_part(diagnosis, width),
+        "\n".join(filled(f"note: {note}", width) for note in diagnosis.notes),
     ]
     return encodable(without_control_characters("\n\n".join(filter(None, parts))) + "\n", encoding)
 
 
-def verdict_part(answer: DiagnosisResult, width: int) -> str:
+def verdict_part(diagnosis: DiagnosisResult, width: int) -> str:
     """Return the verdict and the causes."""
-    chance = probability_text(answer.unexplained_probability)
+    chance = probability_text(diagnosis.unexplained_probability)
     lines = [
-        filled(f"verdict: {answer.verdict}. {verdict_sentence(answer)}", width),
+        filled(f"verdict: {diagnosis.verdict}. {verdict_sentence(diagnosis)}", width),
         filled(f"probability that something unexplained acts: {chance}", width),
     ]
-    if answer.causes:
+    if diagnosis.causes:
         lines += ["", "causes"]
-    for cause in answer.causes:
+    for cause in diagnosis.causes:
         lines += cause_lines(cause, width)
-    if closes_nothing(answer):
+    if closes_nothing(diagnosis):
         lines.append(filled(CLOSES_NOTHING, width))
     return "\n".join(lines)
 
 
-def simulator_part(answer: DiagnosisResult, width: int) -> str:
+def simulator_part(diagnosis: DiagnosisResult, width: int) -> str:
     """Return sentences and tables on a simulator that takes the place of the model; empty without a simulator."""
-    simulator = answer.simulator
+    simulator = diagnosis.simulator
     if simulator is None:
         return ""
-    sentences = [filled(sentence, width) for sentence in simulator_sentences(simulator, claimed_effects(answer))]
+    sentences = [filled(sentence, width) for sentence in simulator_sentences(simulator, claimed_effects(diagnosis))]
     tables = [table(headings, rows, width) for headings, rows in simulator_tables(simulator)]
     return "\n\n".join(["\n".join(sentences), *tables])
 
 
-def unexplained_part(answer: DiagnosisResult, width: int) -> str:
+def unexplained_part(diagnosis: DiagnosisResult, width: int) -> str:
     """Return the variables that the unexplained residual depends on, the nearest effects, and the deciding experiment.
 
     The text is empty if nothing is unexplained.
     """
-    residual = answer.unexplained
+    residual = diagnosis.unexplained
     if residual is None:
         return ""
     lines = [filled(f"not explained: {rest_channel(residual)}", width), filled(rest_words(residual), width, 2)]
@@ -121,28 +121,33 @@ def cause_lines(cause: Cause, width: int) -> list[str]:
     return lines
 
 
-def shrinkage_part(answer: DiagnosisResult, width: int) -> str:
+def shrinkage_part(diagnosis: DiagnosisResult, width: int) -> str:
     """Return the channels that have a gap, before and after, and how many have none."""
-    if not answer.shrinkage:
+    if not diagnosis.shrinkage:
         return ""
-    shown_channels = largest_first(answer.shrinkage)
+    shown_channels = largest_first(diagnosis.shrinkage)
     lines: list[str] = []
     headings: tuple[str, ...]
-    if shown_channels and claimed_effects(answer):
+    if shown_channels and claimed_effects(diagnosis):
         headings = ("gap (RMS)", "nominal", "before", "after", "floor", "", "closed (95 %)")
         lines.append(
             table(
-                headings, [augmented_row(channel, answer.shrinkage) for channel in shown_channels], width, droppable=1
+                headings,
+                [augmented_row(channel, diagnosis.shrinkage) for channel in shown_channels],
+                width,
+                droppable=1,
             )
         )
         lines.append(filled("before: the calibrated model; after: with the effects; on held-out runs", width))
     else:
-        shown_channels = shown_channels or closed_by_calibration(answer.shrinkage)[:MOST_REGIONS]
+        shown_channels = shown_channels or closed_by_calibration(diagnosis.shrinkage)[:MOST_REGIONS]
     if shown_channels and not lines:
         headings = ("gap (RMS)", "nominal", "calibrated", "floor", "", "over floor")
-        lines.append(table(headings, [calibrated_row(channel, answer.shrinkage) for channel in shown_channels], width))
-    lines += [filled(MENDED_FIRST, width)] if claimed_faults(answer) else []
-    return "\n".join([*lines, filled(closed_count_text(answer.shrinkage), width)])
+        lines.append(
+            table(headings, [calibrated_row(channel, diagnosis.shrinkage) for channel in shown_channels], width)
+        )
+    lines += [filled(MENDED_FIRST, width)] if claimed_faults(diagnosis) else []
+    return "\n".join([*lines, filled(closed_count_text(diagnosis.shrinkage), width)])
 
 
 def augmented_row(channel: Shrinkage, channels: Sequence[Shrinkage]) -> list[str]:
@@ -167,15 +172,15 @@ def calibrated_row(channel: Shrinkage, channels: Sequence[Shrinkage]) -> list[st
     ]
 
 
-def region_part(answer: DiagnosisResult, width: int) -> str:
+def region_part(diagnosis: DiagnosisResult, width: int) -> str:
     """Return the largest gaps and the region that holds most of each."""
     rows = [
         (
-            channel_label(channel, answer.where),
+            channel_label(channel, diagnosis.where),
             f"{three_digits(channel.calibrated_rms)} {bare_units(channel.units)}",
             region_text(channel.region, channel.share),
         )
-        for channel in answer.where
+        for channel in diagnosis.where
         if open_gap(channel)
     ]
     if not rows:
@@ -186,9 +191,9 @@ def region_part(answer: DiagnosisResult, width: int) -> str:
     return "\n".join(lines)
 
 
-def calibration_part(answer: DiagnosisResult, width: int) -> str:
+def calibration_part(diagnosis: DiagnosisResult, width: int) -> str:
     """Return the parameters of the nominal model before and after calibration."""
-    rows = calibration_rows(answer)
+    rows = calibration_rows(diagnosis)
     return table(("calibration", "nominal", "fitted ± std", "", "change"), rows, width, droppable=1) if rows else ""
 
 

@@ -40,27 +40,27 @@ FAR_OFF = {  # beginnings of the verdict if a replay is far from the data
 Channel = Where | Shrinkage
 
 
-def verdict_sentence(answer: DiagnosisResult) -> str:
+def verdict_sentence(diagnosis: DiagnosisResult) -> str:
     """Return the verdict as one sentence that names the causes: faults of the set-up, then missing effects."""
-    faults, missing_effects = claimed_faults(answer), claimed_effects(answer)
-    farthest = next((channel for channel in largest_first(answer.shrinkage) if channel.floor_rms > 0.0), None)
-    if answer.verdict in FAR_OFF and farthest and farthest.calibrated_rms > MOST_REPLAY_MISS * farthest.floor_rms:
-        floors = farthest.calibrated_rms / farthest.floor_rms
-        return f"{FAR_OFF[answer.verdict]} {channel_label(farthest, answer.shrinkage)} stands {floors:.3g} floors off."
-    if answer.verdict != "effect" or not faults:
-        return VERDICTS[answer.verdict].format(causes=enumerated(missing_effects))
+    faults, missing_effects = claimed_faults(diagnosis), claimed_effects(diagnosis)
+    gap = next((channel for channel in largest_first(diagnosis.shrinkage) if channel.floor_rms > 0.0), None)
+    if diagnosis.verdict in FAR_OFF and gap and gap.calibrated_rms > MOST_REPLAY_MISS * gap.floor_rms:
+        floors = gap.calibrated_rms / gap.floor_rms
+        return f"{FAR_OFF[diagnosis.verdict]} {channel_label(gap, diagnosis.shrinkage)} stands {floors:.3g} floors off."
+    if diagnosis.verdict != "effect" or not faults:
+        return VERDICTS[diagnosis.verdict].format(causes=enumerated(missing_effects))
     missing_clause = f"; with it mended, the model lacks {enumerated(missing_effects)}" if missing_effects else ""
     return f"The set-up has {enumerated(faults)}{missing_clause}."
 
 
-def claimed_faults(answer: DiagnosisResult) -> list[str]:
-    """Return the faults of the set-up that are said to act; other parts of an answer are on the runs without them."""
-    return claimed_causes([cause for cause in answer.causes if cause.family == "setup"])
+def claimed_faults(diagnosis: DiagnosisResult) -> list[str]:
+    """Return the faults of the set-up that are said to act; the rest of a diagnosis is on the runs without them."""
+    return claimed_causes([cause for cause in diagnosis.causes if cause.family == "setup"])
 
 
-def claimed_effects(answer: DiagnosisResult) -> list[str]:
+def claimed_effects(diagnosis: DiagnosisResult) -> list[str]:
     """Return the effects, other than faults of the set-up, that are said to act."""
-    return claimed_causes([cause for cause in answer.causes if cause.family != "setup"])
+    return claimed_causes([cause for cause in diagnosis.causes if cause.family != "setup"])
 
 
 def claimed_causes(causes: Sequence[Cause]) -> list[str]:
@@ -120,10 +120,12 @@ def closed_by_calibration(channels: Sequence[Shrinkage]) -> list[Shrinkage]:
     return sorted(closed_channels, key=lambda channel: -channel.nominal_rms / max(channel.floor_rms, 1e-300))
 
 
-def closes_nothing(answer: DiagnosisResult) -> bool:
+def closes_nothing(diagnosis: DiagnosisResult) -> bool:
     """Return whether effects are claimed although no gap of held-out runs shrinks with them by more than chance."""
-    some_gap_shrinks = any(channel.closed_low is not None and channel.closed_low > 0.0 for channel in answer.shrinkage)
-    return bool(claimed_effects(answer)) and bool(answer.shrinkage) and not some_gap_shrinks
+    some_gap_shrinks = any(
+        channel.closed_low is not None and channel.closed_low > 0.0 for channel in diagnosis.shrinkage
+    )
+    return bool(claimed_effects(diagnosis)) and bool(diagnosis.shrinkage) and not some_gap_shrinks
 
 
 def closed_count_text(channels: Sequence[Shrinkage]) -> str:
@@ -173,7 +175,7 @@ def change_text(parameter: CalibratedParameter) -> str:
     return f"{100.0 * (parameter.fitted / parameter.nominal - 1.0):+.2f} %"
 
 
-def calibration_rows(answer: DiagnosisResult) -> list[list[str]]:
+def calibration_rows(diagnosis: DiagnosisResult) -> list[list[str]]:
     """Return a row for each calibrated parameter: name, nominal and fitted value, units, change."""
     return [
         [
@@ -183,7 +185,7 @@ def calibration_rows(answer: DiagnosisResult) -> list[list[str]]:
             bare_units(parameter.units),
             change_text(parameter),
         ]
-        for parameter in answer.calibration
+        for parameter in diagnosis.calibration
     ]
 
 

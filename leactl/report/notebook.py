@@ -61,23 +61,25 @@ def run_page(run: Run) -> str:
         for spec in specs
     ]
     headings = ["channel", "quantity", "role", "location", "units", "samples"]
-    about = ", ".join(filter(None, (str(run.attributes.get(name, "")) for name in attributes)))
-    return _page(f"Run {run.path.name}", about, [("", headings, rows)])
+    description = ", ".join(filter(None, (str(run.attributes.get(name, "")) for name in attributes)))
+    return _page(f"Run {run.path.name}", description, [("", headings, rows)])
 
 
 def channel_page(channel: Channel) -> str:
     """Return a page with the curve of a channel; each point of a long curve is the range of several samples."""
     title = " ".join(filter(None, (plain(channel.quantity) or "channel", "of", channel.role, channel.location)))
     facts = (channel.long_name, channel.device, f"{len(channel)} samples")
-    about = ", ".join(filter(None, facts))
+    description = ", ".join(filter(None, facts))
     if not len(channel):
-        return _page(title, about)
+        return _page(title, description)
     trace = trace_of("", channel, float(channel.time[0]), float(channel.time[-1]), MOST_BINS)
     style = "setpoint" if channel.quantity.endswith("_reference") else "reading"
     y_label = f"{plain(channel.quantity)} [{channel.units}]"
     drawn_chart = chart([LineMarks("", style, trace.time, trace.values)], "time [s]", pretty(y_label))
     caption = f"the range of about {trace.samples_per_bin:.0f} samples at each point"
-    return _page(title, about, figures=[CaptionedChart(caption if trace.samples_per_bin > 1 else "", drawn_chart)])
+    return _page(
+        title, description, figures=[CaptionedChart(caption if trace.samples_per_bin > 1 else "", drawn_chart)]
+    )
 
 
 def ending_page(
@@ -109,13 +111,13 @@ def ending_page(
 
 def _page(
     title: str,
-    about: str = "",
+    description: str = "",
     tables: Sequence[tuple[str, Sequence[str], Sequence[Sequence[object]]]] = (),
     figures: Sequence[CaptionedChart] = (),
     notes: Sequence[str] = (),
 ) -> str:
     """Return a page from the template of a notebook; a table is its title, headings and rows."""
-    return render("notebook.html", title=title, about=about, tables=tables, figures=figures, notes=notes)
+    return render("notebook.html", title=title, about=description, tables=tables, figures=figures, notes=notes)
 
 
 def _limit_name(limit: Mapping[str, Any]) -> str:
@@ -125,10 +127,12 @@ def _limit_name(limit: Mapping[str, Any]) -> str:
 
 
 def _value_text(value: float | None) -> str:
+    """Return a value with six significant digits; empty for None."""
     return "" if value is None else f"{value:.6g}"
 
 
 def _unit_text(units: str) -> str:
+    """Return units as they are printed; empty for a ratio."""
     return "" if units == "1" else pretty(units)
 
 

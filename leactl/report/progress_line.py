@@ -62,6 +62,7 @@ class ProgressLine:
             self._print_line(f"done in {time.monotonic() - self._start_s:.1f} s")
 
     def _stop(self, number: int, frame: object) -> None:
+        """Note Ctrl-C, and raise KeyboardInterrupt."""
         # Python drops an exception in a callback of HDF5 or in a finalizer; the next step checks this flag
         self._interrupted = True
         raise KeyboardInterrupt

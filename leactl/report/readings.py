@@ -62,4 +62,5 @@ def table(channels: Sequence[ChannelSummary]) -> str:
 
 
 def _value_text(value: float | None) -> str:
+    """Return a value with six significant digits; `-` for None."""
     return "-" if value is None else f"{value:.6g}"

@@ -21,7 +21,7 @@ def page(run: Run, traces: Sequence[ChannelTrace], start: float, stop: float) ->
     """Return the page of these channels from `start` to `stop` [s] of the run."""
     steps = [step for step in run.steps if step.stop > start and step.start < stop]
     title = f"{run.attributes.get('protocol', '') or 'Run'} {run.path.name}"
-    about = ", ".join(
+    description = ", ".join(
         f"{name} {value}"
         for name in ("actuator", "condition", "bench", "status")
         if (value := str(run.attributes.get(name, "")))
@@ -30,7 +30,7 @@ def page(run: Run, traces: Sequence[ChannelTrace], start: float, stop: float) ->
         "run.html",
         scripts=("axes.js", "zoom.js"),
         title=title,
-        about=about,
+        about=description,
         spans=[(f"{step.name}, {step.start:.3f} s", f"{step.start:.9g} {step.stop:.9g}") for step in steps],
         figures=[figure(chart_traces, steps, start, stop) for chart_traces in traces_by_chart(traces)],
         steps=[[step.name, f"{step.start:.3f}", f"{step.stop:.3f}", f"{step.settle:.3f}"] for step in steps],

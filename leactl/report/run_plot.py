@@ -20,7 +20,7 @@ SHADES = ("░", "-")  # characters for every other step, in Unicode and in ASCI
 def panels_text(
     traces: Sequence[ChannelTrace], steps: Sequence[Step], span_s: tuple[float, float], width: int, screen_rows: int
 ) -> str:
-    """Return panels for stdout that show the time span `span_s` (start and stop [s]); up to three fill the screen."""
+    """Return panels for stdout that show the time span `span_s` (start and stop [s]) and share the screen's rows."""
     encoding = encoding_of_stdout()
     height = min(max(screen_rows // max(len(traces), 1) - ROWS_BESIDE_CANVAS, LEAST_CANVAS_ROWS), MOST_CANVAS_ROWS)
     lines = panels(traces, steps, span_s, width, height, not shows_all(encoding))

@@ -145,8 +145,8 @@ def test_a_run_that_spoils_its_group_is_left_out_alone(tmp_path):
     assert [entry.fault for entry in found.entries if entry.path == spoilt] == [
         "no velocity of test; the run has q_axis_current of test"
     ]
-    assert found.answers[0].result.find("coulomb_friction").value == pytest.approx(0.25)
-    assert [entry.path for entry in found.answers[0].entries] == [path for path in tmp_path.iterdir() if path != spoilt]
+    assert found.results[0].result.find("coulomb_friction").value == pytest.approx(0.25)
+    assert [entry.path for entry in found.results[0].entries] == [path for path in tmp_path.iterdir() if path != spoilt]
 
 
 def test_values_that_are_not_those_of_their_checksums_give_nothing(tmp_path):
@@ -310,7 +310,7 @@ def test_points_lie_where_the_axes_say_and_captions_name_their_runs(campaign, sh
     section = next(one for one in root.iter("section") if one.get("id") == "m0-friction")
     figure = section.find(".//figure")
     assert [one.text for one in figure.findall("figcaption/a")] == ["R1", "R2", "R3"]
-    answers = [one for one in sheet.sets[0].answers if one.experiment == "friction"]
+    answers = [one for one in sheet.sets[0].results if one.experiment == "friction"]
     drawn = [one for one in figure.iter("path") if one.get("class").startswith("marks dot s")]
     assert [one.get("class") for one in drawn] == [f"marks dot s{k}" for k in range(3)]
     shown = np.concatenate([places(one.get("d")) for one in drawn])

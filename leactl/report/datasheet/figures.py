@@ -49,18 +49,18 @@ def figures(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> l
     ----------
     motors : the motor of each set.
     """
-    answers_by_set = [run_set.answers_of(motor, experiment) for run_set, motor in zip(sets, motors, strict=True)]
-    all_answers = [answer for answers in answers_by_set for answer in answers]
-    measured_conditions = {answer.condition for answer in all_answers}
-    condition_order = [condition for condition in ordered_conditions(all_answers) if condition in measured_conditions]
+    results_by_set = [run_set.results_of(motor, experiment) for run_set, motor in zip(sets, motors, strict=True)]
+    all_results = [group for results in results_by_set for group in results]
+    measured_conditions = {group.condition for group in all_results}
+    condition_order = [condition for condition in ordered_conditions(all_results) if condition in measured_conditions]
     colours = {condition: f"s{index % COLOUR_COUNT}" for index, condition in enumerate(condition_order)}
-    answers_by_set = [
-        sorted(answers, key=lambda answer: condition_order.index(answer.condition)) for answers in answers_by_set
+    results_by_set = [
+        sorted(results, key=lambda group: condition_order.index(group.condition)) for results in results_by_set
     ]
-    plot_count = max((len(answer.result.plots) for answer in all_answers), default=0)
+    plot_count = max((len(group.result.plots) for group in all_results), default=0)
     charts = []
     for index in range(plot_count):
-        drawings_by_set = [figures_of(answers, index, colours) for answers in answers_by_set]
+        drawings_by_set = [figures_of(results, index, colours) for results in results_by_set]
         for set_index, drawings in enumerate(drawings_by_set):
             other_drawings = drawings_by_set[:set_index] + drawings_by_set[set_index + 1 :]
             other_layers = [
@@ -78,29 +78,29 @@ def linked_chart(drawing: Figure, included_in_axes: Sequence[Layer], caption_pre
     return LinkedChart(f"{caption_prefix}{drawing.caption}", drawing.entries, drawn_chart)
 
 
-def figures_of(answers: Sequence[GroupResult], index: int, colours: Mapping[str, str]) -> list[Figure]:
-    """Return figures of plot `index` of the answers.
+def figures_of(results: Sequence[GroupResult], index: int, colours: Mapping[str, str]) -> list[Figure]:
+    """Return figures of plot `index` of the results.
 
     The conditions of an actuator share one figure if they have the same axes, few series of points, and a colour each.
     """
-    answers_with_plot = [answer for answer in answers if index < len(answer.result.plots)]
+    results_with_plot = [group for group in results if index < len(group.result.plots)]
     drawings = []
-    for actuator in dict.fromkeys(answer.actuator for answer in answers_with_plot):
-        actuator_answers = [answer for answer in answers_with_plot if answer.actuator == actuator]
-        point_kinds = {series.label for answer in actuator_answers for series in answer.result.plots[index].points}
+    for actuator in dict.fromkeys(group.actuator for group in results_with_plot):
+        actuator_results = [group for group in results_with_plot if group.actuator == actuator]
+        point_kinds = {series.label for group in actuator_results for series in group.result.plots[index].points}
         axis_labels = {
-            (answer.result.plots[index].x_label, answer.result.plots[index].y_label) for answer in actuator_answers
+            (group.result.plots[index].x_label, group.result.plots[index].y_label) for group in actuator_results
         }
         is_shared = (
             len(point_kinds) <= MOST_SHARED_KINDS
             and len(axis_labels) == 1
-            and 1 < len(actuator_answers) <= COLOUR_COUNT
+            and 1 < len(actuator_results) <= COLOUR_COUNT
         )
-        for group in [actuator_answers] if is_shared else [[answer] for answer in actuator_answers]:
-            plots = [answer.result.plots[index] for answer in group]
-            entries = tuple(entry for answer in group for entry in answer.entries)
-            layers, keys = overlaid_layers(group, plots, colours) if is_shared else (plot_layers(plots[0]), [])
-            caption_parts = (subject(plots[0]), actuator, "" if is_shared else group[0].condition)
+        for shared_groups in [actuator_results] if is_shared else [[group] for group in actuator_results]:
+            plots = [group.result.plots[index] for group in shared_groups]
+            entries = tuple(entry for group in shared_groups for entry in group.entries)
+            layers, keys = overlaid_layers(shared_groups, plots, colours) if is_shared else (plot_layers(plots[0]), [])
+            caption_parts = (subject(plots[0]), actuator, "" if is_shared else shared_groups[0].condition)
             drawings.append(
                 Figure(", ".join(filter(None, caption_parts)), plots[0], tuple(layers), tuple(keys), entries)
             )
@@ -141,18 +141,18 @@ def subject(plot: Plot) -> str:
 
 
 def overlaid_layers(
-    answers: Sequence[GroupResult], plots: Sequence[Plot], colours: Mapping[str, str]
+    results: Sequence[GroupResult], plots: Sequence[Plot], colours: Mapping[str, str]
 ) -> tuple[list[Layer], list[Key]]:
     """Return layers and legend of overlaid conditions: a colour for each condition, a mark for each kind of points."""
     point_kinds = list(dict.fromkeys(series.label for plot in plots for series in plot.points))
     layers: list[Layer] = []
-    for answer, plot in zip(answers, plots, strict=True):
-        colour = colours[answer.condition]
+    for group, plot in zip(results, plots, strict=True):
+        colour = colours[group.condition]
         for line in plot.lines:
             is_fit = kind_of(line, dict.fromkeys(point_kinds)) == line.label
             layers.append(
                 LineMarks(
-                    answer.condition,
+                    group.condition,
                     f"line {colour}" if is_fit else f"line thin {colour}",
                     *arrays(line),
                     connected=True,
@@ -162,7 +162,7 @@ def overlaid_layers(
             point_layer(series, series.label, colour, MARK_STYLES[point_kinds.index(series.label)], plot)
             for series in plot.points
         ]
-    keys = [(f"line {colours[answer.condition]}", answer.condition) for answer in answers]
+    keys = [(f"line {colours[group.condition]}", group.condition) for group in results]
     keys += (
         [(f"{MARK_STYLES[index]} other", kind) for index, kind in enumerate(point_kinds)]
         if len(point_kinds) > 1

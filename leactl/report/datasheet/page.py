@@ -94,13 +94,13 @@ def section_content(sets: Sequence[RunSet], section: Section, anchor: str) -> di
     """
     experiments = []
     for experiment in section.rows:
-        answers = [
-            answer
+        results = [
+            group
             for run_set, motor in zip(sets, section.motors, strict=True)
-            for answer in run_set.answers_of(motor, experiment)
+            for group in run_set.results_of(motor, experiment)
         ]
-        if answers:
-            experiments.append(experiment_content(sets, section, experiment, answers, f"{anchor}-{experiment}"))
+        if results:
+            experiments.append(experiment_content(sets, section, experiment, results, f"{anchor}-{experiment}"))
     return {
         "title": section.title,
         "groups": groups(sets, section, anchor),
@@ -111,7 +111,7 @@ def section_content(sets: Sequence[RunSet], section: Section, anchor: str) -> di
 
 
 def experiment_content(
-    sets: Sequence[RunSet], section: Section, experiment: str, answers: Sequence[GroupResult], anchor: str
+    sets: Sequence[RunSet], section: Section, experiment: str, results: Sequence[GroupResult], anchor: str
 ) -> dict[str, Any]:
     """Return method, comparison of conditions, figures, notes and all results of one experiment."""
     comparisons = []
@@ -123,9 +123,9 @@ def experiment_content(
             shown_comparisons = [comparison for comparison in verdict.comparisons if comparison.name in names_in_table]
             comparisons.append(comparison_content(shown_comparisons, prefix, run_set.entries))
             notes += [f"{prefix}not compared over conditions: {line}" for line in by_reason(verdict.refused)]
-    entries = [entry for answer in answers for entry in answer.entries]
-    for answer in answers:
-        notes += [note for note in answer.result.notes if note not in notes]
+    entries = [entry for group in results for entry in group.entries]
+    for group in results:
+        notes += [note for note in group.result.notes if note not in notes]
     return {
         "anchor": anchor,
         "title": heading(experiment),
@@ -134,8 +134,8 @@ def experiment_content(
         "figures": figures(sets, section.motors, experiment),
         "over_conditions": over_conditions(section.rows[experiment], sets),
         "notes": [with_labels(note, entries) for note in notes],
-        "results": [results_table(answer) for answer in answers],
-        "maps": [map_table(grid, answer) for answer in answers for grid in answer.result.grids],
+        "results": [results_table(group) for group in results],
+        "maps": [map_table(grid, group) for group in results for grid in group.result.grids],
     }
 
 
@@ -170,9 +170,9 @@ def with_labels(note: str, entries: Sequence[RunEntry]) -> str:
     return note
 
 
-def results_table(answer: GroupResult) -> dict[str, Any]:
+def results_table(group_result: GroupResult) -> dict[str, Any]:
     """Return every result of one actuator under one condition, with the paper's values."""
-    paper_values = paper(answer.experiment, answer.condition)
+    paper_values = paper(group_result.experiment, group_result.condition)
     rows = [
         [
             plain(estimate.name),
@@ -181,10 +181,10 @@ def results_table(answer: GroupResult) -> dict[str, Any]:
             "" if estimate.units == "1" else pretty(estimate.units),
             paper_values.get(estimate.name, ""),
         ]
-        for estimate in answer.result.results
+        for estimate in group_result.result.results
     ]
-    group = ", ".join(filter(None, (answer.actuator, answer.condition))) or "unnamed"
-    return {"group": group, "entries": answer.entries, "rows": rows}
+    group = ", ".join(filter(None, (group_result.actuator, group_result.condition))) or "unnamed"
+    return {"group": group, "entries": group_result.entries, "rows": rows}
 
 
 def run_row(entry: RunEntry, out: Path) -> dict[str, Any]:
@@ -243,7 +243,7 @@ def fullest_motor_file(sets: Sequence[RunSet], motor: str) -> MotorSheet | None:
     return max(sheets, key=lambda sheet: len(sheet.model_fields_set), default=None)
 
 
-def map_table(grid: Grid, answer: GroupResult) -> dict[str, Any]:
+def map_table(grid: Grid, group_result: GroupResult) -> dict[str, Any]:
     """Return the table of the first quantity of a map over its two axes; the axis with more setpoints goes down."""
     (quantity, values_by_row), axes = next(iter(grid.values.items())), list(grid.axes.items())
     cells = np.array(values_by_row)
@@ -254,12 +254,12 @@ def map_table(grid: Grid, answer: GroupResult) -> dict[str, Any]:
     rows = [
         [f"{setpoint:.4g}", *map(map_cell, row)] for setpoint, row in zip(down_setpoints, cells.tolist(), strict=True)
     ]
-    title = ", ".join(filter(None, (plain(grid.name), answer.actuator, answer.condition)))
+    title = ", ".join(filter(None, (plain(grid.name), group_result.actuator, group_result.condition)))
     return {
         "whose": title,
         "quantity": with_unit(quantity).capitalize(),
         "setpoints": cells.size,
-        "entries": answer.entries,
+        "entries": group_result.entries,
         "headings": headings,
         "rows": rows,
     }

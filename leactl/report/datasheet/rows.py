@@ -44,8 +44,8 @@ class DatasheetRow:
     @property
     def units(self) -> str:
         """Return the units of the first estimate, or else those of the paper's figure."""
-        measured = (cell.estimate.units for cell in self.cells if cell.estimate is not None)
-        return next(measured, units_in_paper().get(self.name, ""))
+        measured_units = (cell.estimate.units for cell in self.cells if cell.estimate is not None)
+        return next(measured_units, units_in_paper().get(self.name, ""))
 
     @property
     def difference(self) -> Estimate | None:
@@ -95,19 +95,19 @@ def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list
     ----------
     motors : the motor of each set.
     """
-    answers_by_set = [run_set.answers_of(motor, experiment) for run_set, motor in zip(sets, motors, strict=True)]
+    results_by_set = [run_set.results_of(motor, experiment) for run_set, motor in zip(sets, motors, strict=True)]
     faulty_entries_by_set = [
         [entry for entry in run_set.entries if entry.fault and (entry.motor, entry.experiment) == (motor, experiment)]
         for run_set, motor in zip(sets, motors, strict=True)
     ]
-    all_answers = [answer for answers in answers_by_set for answer in answers]
+    all_results = [group for results in results_by_set for group in results]
     table_rows = []
-    for name in result_names(experiment, all_answers):
-        for condition in conditions(experiment, all_answers, name):
+    for name in result_names(experiment, all_results):
+        for condition in conditions(experiment, all_results, name):
             paper = paper_figures(experiment, condition).get(name, "")
             cells_by_set = [
-                cells_of(answers, faulty_entries, name, condition)
-                for answers, faulty_entries in zip(answers_by_set, faulty_entries_by_set, strict=True)
+                cells_of(results, faulty_entries, name, condition)
+                for results, faulty_entries in zip(results_by_set, faulty_entries_by_set, strict=True)
             ]
             cells_of_rows: list[tuple[DatasheetCell, ...]]
             if len(sets) == 1:
@@ -133,7 +133,7 @@ def rows(sets: Sequence[RunSet], motors: Sequence[str], experiment: str) -> list
     return table_rows
 
 
-def result_names(experiment: str, answers: Sequence[GroupResult]) -> list[str]:
+def result_names(experiment: str, results: Sequence[GroupResult]) -> list[str]:
     """Return the names of the results of an experiment that have rows.
 
     These are the results of the paper. For an experiment that is not in the paper, they are all results with an
@@ -143,9 +143,9 @@ def result_names(experiment: str, answers: Sequence[GroupResult]) -> list[str]:
     if paper_names:
         return list(paper_names)
     names_with_interval: dict[str, None] = {}
-    for answer in answers:
+    for group in results:
         parents: list[str] = []
-        for estimate in answer.result.results:
+        for estimate in group.result.results:
             is_part = any(estimate.name.startswith(f"{parent}_") for parent in parents)
             parents += [] if is_part else [estimate.name]
             if not is_part and not math.isnan(estimate.low):
@@ -153,47 +153,47 @@ def result_names(experiment: str, answers: Sequence[GroupResult]) -> list[str]:
     return list(names_with_interval)
 
 
-def conditions(experiment: str, answers: Sequence[GroupResult], name: str) -> list[str]:
+def conditions(experiment: str, results: Sequence[GroupResult], name: str) -> list[str]:
     """Return the conditions of a result, those of the paper first, in its order; one empty name without a condition."""
     paper_conditions = [
         label
         for label, paper_values in figures_by_condition(experiment).items()
         if label != "any" and name in paper_values
     ]
-    known_conditions = {answer.condition for answer in answers} | set(paper_conditions)
-    return [label for label in ordered_conditions(answers) if label in known_conditions] or [""]
+    known_conditions = {group.condition for group in results} | set(paper_conditions)
+    return [label for label in ordered_conditions(results) if label in known_conditions] or [""]
 
 
-def ordered_conditions(answers: Sequence[GroupResult]) -> list[str]:
-    """Return the conditions of all experiments of the paper, then the other conditions of the answers.
+def ordered_conditions(results: Sequence[GroupResult]) -> list[str]:
+    """Return the conditions of all experiments of the paper, then the other conditions of the results.
 
     The order is the same for every set of runs.
     """
     paper_conditions = [label for experiment in names() for label in figures_by_condition(experiment) if label != "any"]
-    return list(dict.fromkeys([*paper_conditions, *(answer.condition for answer in answers)]))
+    return list(dict.fromkeys([*paper_conditions, *(group.condition for group in results)]))
 
 
 def cells_of(
-    answers: Sequence[GroupResult], faulty_entries: Sequence[RunEntry], name: str, condition: str
+    results: Sequence[GroupResult], faulty_entries: Sequence[RunEntry], name: str, condition: str
 ) -> list[DatasheetCell]:
     """Return a cell of one result for each actuator that has it, or one cell without an estimate that says why.
 
     Parameters
     ----------
-    answers : results of one set of runs under all conditions.
+    results : those of one set of runs under all conditions.
     faulty_entries : runs of the set that could not be analysed.
     """
-    condition_answers = [answer for answer in answers if answer.condition == condition]
+    results_under_condition = [group for group in results if group.condition == condition]
     estimates = [
-        (answer, estimate)
-        for answer in condition_answers
-        for estimate in answer.result.results
+        (group, estimate)
+        for group in results_under_condition
+        for estimate in group.result.results
         if estimate.name == name
     ]
     if not estimates:
         entries_not_analysed = tuple(entry for entry in faulty_entries if condition in ("", entry.group[1]))
         return [DatasheetCell(None, entries_not_analysed, "not analysed" if entries_not_analysed else NOT_MEASURED)]
-    return [DatasheetCell(estimate, answer.entries, actuators=(answer.actuator,)) for answer, estimate in estimates]
+    return [DatasheetCell(estimate, group.entries, actuators=(group.actuator,)) for group, estimate in estimates]
 
 
 def pooled_cell(cells: Sequence[DatasheetCell]) -> DatasheetCell:

@@ -73,7 +73,7 @@ class RunSet:
 
     name: str
     entries: tuple[RunEntry, ...]
-    answers: tuple[GroupResult, ...]
+    results: tuple[GroupResult, ...]
     verdicts: Mapping[tuple[str, str], ConditionVerdict]  # by motor and experiment
 
     @property
@@ -81,9 +81,9 @@ class RunSet:
         """Return the names of the motors of its runs; that of a run without a motor name is empty."""
         return list(dict.fromkeys(entry.motor for entry in self.entries if entry.experiment))
 
-    def answers_of(self, motor: str, experiment: str) -> list[GroupResult]:
+    def results_of(self, motor: str, experiment: str) -> list[GroupResult]:
         """Return the results of one experiment with one motor, one for each actuator and condition."""
-        return [answer for answer in self.answers if (answer.motor, answer.experiment) == (motor, experiment)]
+        return [group for group in self.results if (group.motor, group.experiment) == (motor, experiment)]
 
 
 def read_runs(paths: Sequence[Path], prefix: str, options: Mapping[str, float], report_step: StepReporter) -> RunSet:
@@ -111,7 +111,7 @@ def read_runs(paths: Sequence[Path], prefix: str, options: Mapping[str, float], 
         first_entry = entry if entry.fault else entry_of_identity.setdefault(entry.identity, entry)
         if first_entry is not entry:
             entry.fault = f"the same run as {first_entry.label}"
-    answers: list[GroupResult] = []
+    results: list[GroupResult] = []
     verdicts: dict[tuple[str, str], ConditionVerdict] = {}
     usable_entries = sorted(
         (entry for entry in entries if not entry.fault),
@@ -123,14 +123,16 @@ def read_runs(paths: Sequence[Path], prefix: str, options: Mapping[str, float], 
         report_step(experiment)
         entries_of_experiment = list(group_entries)
         group_results = [
-            answer for group in by_group(entries_of_experiment) if (answer := answer_of(group, options)) is not None
+            group
+            for group_members in by_group(entries_of_experiment)
+            if (group := group_result_of(group_members, options)) is not None
         ]
-        answers += group_results
-        if len({answer.condition for answer in group_results}) > 1:
+        results += group_results
+        if len({group.condition for group in group_results}) > 1:
             verdicts[motor, experiment] = condition_verdict(
-                [entry for answer in group_results for entry in answer.entries], options
+                [entry for group in group_results for entry in group.entries], options
             )
-    return RunSet(name_of_runs(paths), tuple(entries), tuple(answers), verdicts)
+    return RunSet(name_of_runs(paths), tuple(entries), tuple(results), verdicts)
 
 
 def order_key(entry: RunEntry) -> tuple[bool, str, bool, str]:
@@ -196,7 +198,7 @@ def by_group(entries: Sequence[RunEntry]) -> list[list[RunEntry]]:
     return list(groups.values())
 
 
-def answer_of(entries: Sequence[RunEntry], options: Mapping[str, float]) -> GroupResult | None:
+def group_result_of(entries: Sequence[RunEntry], options: Mapping[str, float]) -> GroupResult | None:
     """Analyse the runs of one experiment, actuator and condition together.
 
     If that fails, each run that cannot be analysed by itself gets its fault, and the others are analysed again. The
@@ -214,7 +216,7 @@ def answer_of(entries: Sequence[RunEntry], options: Mapping[str, float]) -> Grou
             for entry in entries:
                 entry.fault = fault_text(joint_fault, entry.path)
             analysable = []
-        return answer_of(analysable, options) if analysable else None
+        return group_result_of(analysable, options) if analysable else None
     return GroupResult(first_entry.motor, first_entry.experiment, *first_entry.group, result, tuple(entries))
 
 

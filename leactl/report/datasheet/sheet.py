@@ -82,7 +82,7 @@ class Datasheet:
         ------
         InputError : no run was analysed; a line for each run says why.
         """
-        if not any(run_set.answers for run_set in self.sets):
+        if not any(run_set.results for run_set in self.sets):
             raise InputError([f"{entry.path}: {entry.fault}" for run_set in self.sets for entry in run_set.entries])
 
     def as_json(self) -> dict[str, Any]:
@@ -136,7 +136,7 @@ def without_common_condition(sets: Sequence[RunSet], section: Section) -> list[s
     lines = []
     for experiment in section.rows:
         conditions_by_set = [
-            dict.fromkeys(answer.condition or "no condition" for answer in run_set.answers_of(motor, experiment))
+            dict.fromkeys(group.condition or "no condition" for group in run_set.results_of(motor, experiment))
             for run_set, motor in zip(sets, section.motors, strict=True)
         ]
         if all(conditions_by_set) and not set.intersection(*map(set, conditions_by_set)):
