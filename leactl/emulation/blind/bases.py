@@ -22,7 +22,7 @@ SPREADS = {
     "winding_capacitance": 0.04,
     "housing_capacitance": 0.04,
 }
-RESISTANCE_COEFFICIENT_SPREAD = 0.004
+RESISTANCE_COEFFICIENT_SPREAD = 0.004  # relative standard deviation, as in SPREADS
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ CHANGE_PER_CYCLE = {"q_axis_current": 0.2, "velocity": 0.5, "angle": 0.05}  # A,
 # largest error of a reading: a share of the true value, plus a resolution in A, rad/s, rad or V
 VALUE_TOLERANCE = 0.01
 RESOLUTIONS = {"q_axis_current": 0.05, "velocity": 0.02, "angle": 0.002}
-VOLTAGE_RESOLUTION = 0.1
+VOLTAGE_RESOLUTION = 0.1  # V
 SETPOINT_RESOLUTION = 0.05  # A, rad/s or rad: largest difference of a setpoint at the machine
 SETPOINTS = {
     Mode.CURRENT: ("current", 1.5),

@@ -16,7 +16,7 @@ from leactl.driver.far_end import LAST_OF_11_BITS, CanEmulator, FdFrame, Frame, 
 from leactl.driver.i2c_port import swap_bytes
 from leactl.emulation.clock import EmulatedClock
 
-TICK_S = 1e-3
+TICK_S = 1e-3  # of emulated time, between two looks for a frame
 LEAST_WAIT_S = 1e-9  # a wait that rounding makes shorter must still let time pass, or it would never end
 MOST_STOPS_PER_S = 8000  # stops of emulated time for I2C devices, which are then at most 0.125 ms late
 

@@ -10,7 +10,7 @@ from collections import deque
 from leactl.driver.far_end import SerialEmulator
 from leactl.emulation.clock import EmulatedClock
 
-TICK_S = 1e-3
+TICK_S = 1e-3  # of emulated time, between two looks for a byte
 MOST_UNSENT_BYTES = 4096  # in the host's transmit buffer, as in a kernel's
 
 

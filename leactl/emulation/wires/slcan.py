@@ -8,7 +8,7 @@ import can
 from leactl.emulation.wires.pseudo_terminal import PseudoTerminal
 
 CR, BEL = b"\r", b"\a"
-VERSION, SERIAL = b"V1013\r", b"NA123\r"
+VERSION, SERIAL = b"V1013\r", b"NA123\r"  # answers of the adapter to V and N
 
 
 class SlcanAdapter:

@@ -47,10 +47,10 @@ ROLES = ("test", "load")
 MARGIN_TOLERANCE = 1e-9  # in the margin's unit
 LEAST_ADVANCE_S = 1e-9  # rounding error of the requested times; a shorter time changes nothing
 RESTART_LEVEL = 3  # level of the first step after a change of regime: 0.25 ms
-MOST_REGIME_CHANGES = 8  # without any time between them
-LEAST_POWERED_V = 10.0  # DC link voltage below which the drives are off
-LEAST_VOLTAGE_CHANGE = 0.01  # V, of the DC link; a smaller change keeps the matrices
-MOST_RESISTANCE_CHANGE = 0.002  # relative, after which the matrices are computed again
+MOST_IDLE_CHANGES = 8  # of the regime without time passing, as of regimes that alternate at one point
+LEAST_POWERED_V = 10.0  # DC link voltage; below it the drives are off
+LEAST_VOLTAGE_CHANGE_V = 0.01  # of the DC link; a smaller change keeps the matrices
+MOST_RESISTANCE_CHANGE = 0.002  # relative; after a larger change the matrices are computed again
 
 
 class Actuator:
@@ -266,7 +266,7 @@ class Rig:
             for actuator in self._pair:
                 actuator.command("off")
             return
-        if abs(voltage - self.bench.bus_voltage) < LEAST_VOLTAGE_CHANGE:
+        if abs(voltage - self.bench.bus_voltage) < LEAST_VOLTAGE_CHANGE_V:
             return
         self.bench = replace(self.bench, bus_voltage=voltage)
         self._plant = self._plant._replace(bench=self.bench)
@@ -466,7 +466,7 @@ class Rig:
             self._accept(propagator.after(point, share * duration)[:STATES], share * duration)
         else:
             self._idle_changes += 1
-            if self._idle_changes > MOST_REGIME_CHANGES:  # regimes that alternate at one point: let one tick pass
+            if self._idle_changes > MOST_IDLE_CHANGES:  # regimes that alternate at one point: let one tick pass
                 self._idle_changes = 0
                 self._accept(advanced[:STATES], duration)
                 self._settle_signs()

@@ -8,7 +8,7 @@ import numpy as np
 from leactl.emulation.plant.stepped.lanes import Array, Lane, bind, column, in_groups
 from leactl.emulation.plant.stepped.thermal import ThermalLanes
 
-SAMPLE_S = 1.0
+SAMPLE_S = 1.0  # between two samples
 SUBSTEPS = 5  # of 0.2 s each: the error of Heun's rule is then below 2e-4 for the winding's time constant of 6 s
 
 

@@ -17,7 +17,7 @@ from leactl.emulation.plant.stepped.lanes import Lane
 from leactl.emulation.plant.stepped.plant import TICK, SteppedPlant
 from leactl.errors import InputError
 
-HEATED_STEP = 0.2  # s
+HEATED_STEP_S = 0.2  # of the thermal network while two leads are heated
 
 
 class SteppedRig:
@@ -116,7 +116,7 @@ class SteppedRig:
         """Advance to a time [s], the plant by whole milliseconds; a time in the past changes nothing."""
         if self.setup == "heated":
             standstill = np.zeros(1)
-            while (step := min(HEATED_STEP, to_time - self.time)) > 1e-9:
+            while (step := min(HEATED_STEP_S, to_time - self.time)) > 1e-9:
                 heat = 2.0 * self.resistance * self.heater_current**2
                 self.plant.thermal.step(self.time, step, heat, standstill, standstill)
                 self.time += step

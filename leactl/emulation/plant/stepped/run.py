@@ -11,8 +11,8 @@ from leactl.emulation.plant.stepped.lanes import Array, Lane, in_groups
 from leactl.emulation.plant.stepped.plant import TICK, SteppedPlant
 
 Single = NDArray[np.float32]
-CAMERA_TICKS = 100  # 10 Hz
-BLOCK = 1000  # ticks
+CAMERA_TICKS = 100  # between two pictures of the camera: 10 Hz
+BLOCK = 1000  # ticks that are simulated before their signals are stored
 COMMAND_STEP = 0.002  # A, resolution of the current command
 
 
@@ -34,21 +34,21 @@ class DriveReferences:
 class DriveSignals:
     """Sensor readings of one run, one a millisecond; only velocities have noise already, since the servos read them."""
 
-    reference: Single
-    current: Single  # mean over the millisecond, as the drive's sensor reads it
-    voltage: Single  # likewise
-    velocity: Single
-    angle: Array
-    torque: Single
-    bus_voltage: Single
-    load_current: Single  # at the end of the millisecond
-    load_velocity: Single
-    winding: Single  # 10 Hz, as the camera reads it
-    housing: Single
+    reference: Single  # A
+    current: Single  # A, mean over the millisecond as the drive's sensor reads it
+    voltage: Single  # V, mean over the millisecond
+    velocity: Single  # rad/s
+    angle: Array  # rad
+    torque: Single  # N*m
+    bus_voltage: Single  # V
+    load_current: Single  # A, at the end of the millisecond
+    load_velocity: Single  # rad/s
+    winding: Single  # degC at 10 Hz, as the camera reads it
+    housing: Single  # degC, likewise
 
 
 class _Block(NamedTuple):
-    """One second of all lanes, one row for each tick."""
+    """One second of the signals of all lanes, one row for each tick and one column for each lane."""
 
     reference: Array
     current: Array

@@ -37,7 +37,7 @@ class Spread:
 
 
 class Sensors:
-    """The sensors of one run."""
+    """The sensors of one run, which make recorded channels of simulated signals."""
 
     def __init__(self, lane: Lane, spread: Spread, seed: int) -> None:
         self._lane, self._spread = lane, spread
