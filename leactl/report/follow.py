@@ -29,7 +29,7 @@ SILENT_AFTER_S: Final = 5.0  # time without a reading, after which a device coun
 
 
 class ReadingSampler:
-    """Samples the newest value of each chosen channel of a bench.
+    """A sampler of the newest value of each chosen channel of a bench.
 
     A value is NaN where its stream has no new row since the last sample, or where the row has none for the channel.
     """
@@ -97,7 +97,7 @@ class ReadingSampler:
 
 
 class Follower:
-    """Prints the readings of a run on stdout, one line in each interval, and the warnings of the run on stderr."""
+    """A printer of the readings of a run on stdout, one line in each interval, and of its warnings on stderr."""
 
     def __init__(self, sampler: ReadingSampler, interval_s: float, as_json: bool) -> None:
         """Prepare to print a sample every `interval_s` seconds: in columns, or as JSON with an object on each line."""

@@ -13,7 +13,7 @@ from leactl.errors import Stopped
 
 
 class ProgressLine:
-    """Shows each step of a computation when it is called with the step's name, and at the end the total duration.
+    """A display of each step of a computation, whose name it is called with, and of the total duration at the end.
 
     Raises
     ------

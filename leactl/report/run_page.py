@@ -1,7 +1,7 @@
 """The channels of a run over time as one page: linked charts that zoom, with shaded steps, and a table of all steps.
 
-A reading and its setpoint share a chart. The page has at most `BINS` bins for a channel and gives the number of samples
-in each; a short part of a run is drawn with all its samples.
+A reading and its setpoint share a chart. The page has at most `MOST_BINS` bins for a channel and gives the number of
+samples in each; a short part of a run is drawn with all its samples.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from leactl.report.html import render
 from leactl.runfile.read.reader import Run, Step
 from leactl.runfile.read.traces import ChannelTrace
 
-BINS = 2000  # of a channel: more than a wide screen has pixels
+MOST_BINS = 2000  # of a channel: more than the pixels of a wide screen
 
 
 def page(run: Run, traces: Sequence[ChannelTrace], start: float, stop: float) -> str:

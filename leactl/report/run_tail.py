@@ -22,7 +22,7 @@ TIME_HEADING = "time s"
 
 
 class RowPrinter:
-    """Formats rows of several streams as lines; a heading stands before the first row and at each change of stream."""
+    """A formatter of rows of several streams; a heading comes before the first row and at each change of stream."""
 
     def __init__(self, columns: int | None) -> None:
         """Set the width of the terminal in characters, or None for lines of any length."""

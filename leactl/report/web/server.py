@@ -96,7 +96,7 @@ class Site:
 
 
 class HttpExchange(BaseHTTPRequestHandler):
-    """Answer one request, both as bytes: the standard library parses and writes the HTTP, without a socket."""
+    """One request and its answer, both as bytes: the standard library parses and writes the HTTP, without a socket."""
 
     protocol_version = "HTTP/1.1"
     default_request_version = "HTTP/1.0"  # for a request that names no version; answers of HTTP/0.9 have no status
