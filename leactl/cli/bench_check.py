@@ -1,4 +1,4 @@
-"""`leactl bench check`: checks a bench file by itself, against its devices, and against the motion of its shaft."""
+"""`leactl bench check`: check a bench file by itself, against its devices, and against the motion of its shaft."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`leactl bench scan`: lists the devices that answer on the wires of this machine; it only reads from them."""
+"""`leactl bench scan`: list the devices that answer on the wires of this machine, by reads alone."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""`leactl demo`: runs two protocols on the emulated bench, and prints the results beside the figures of the paper."""
+"""`leactl demo`: run two protocols on the emulated bench, and print the results beside the figures of the paper."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""`leactl doctor`: lists what is installed on this machine and what is missing, with the commands that install it."""
+"""`leactl doctor`: list what is installed on this machine and what is missing, with the commands that install it."""
 
 import json
 

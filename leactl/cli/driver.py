@@ -1,4 +1,4 @@
-"""`leactl driver`: list drivers and their settings, and check them against the driver contract."""
+"""`leactl driver`: list, explain, check and begin drivers, and replay the trace of a run on them."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The entry point: runs a command, prints each error as one line on stderr and sets the exit status."""
+"""The entry point: run a command, print each error as one line on stderr and set the exit status."""
 
 import errno
 import itertools

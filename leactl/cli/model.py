@@ -1,4 +1,4 @@
-"""`leactl model`: reads models of other simulators as model files, and writes augmented models back to them."""
+"""`leactl model`: read models of other simulators as model files, and write augmented models back to them."""
 
 import json
 from enum import StrEnum

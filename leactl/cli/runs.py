@@ -1,4 +1,4 @@
-"""`leactl runs`: list, show, verify, recover, annotate, attach to, export and import run files."""
+"""`leactl runs`: find, show, plot, verify, mend, annotate, export and import run files."""
 
 import json
 from pathlib import Path
@@ -437,7 +437,7 @@ def plot(
     import shutil
 
     from leactl.report import outputs
-    from leactl.report.run_page import BINS, page
+    from leactl.report.run_page import MOST_BINS, page
     from leactl.report.run_plot import panels_text
     from leactl.runfile.publish import replacement
     from leactl.runfile.read.reader import Run
@@ -448,7 +448,7 @@ def plot(
     columns, rows = shutil.get_terminal_size((80, 24))
     with Run.open(run) as open_run:
         time_span = part_of_run(open_run, step, start, stop)
-        bins = BINS if html or as_json else 2 * columns
+        bins = MOST_BINS if html or as_json else 2 * columns
         traces = [channel_trace(open_run, name, *time_span, bins) for name in channel_names(open_run, channels or [])]
         if html:
             with replacement(html) as path:

@@ -1,4 +1,4 @@
-"""`leactl safety`: rehearses faults on a bench, and searches for courses that beat the thermal guard."""
+"""`leactl safety`: rehearse faults on a bench, and search for courses that beat the thermal guard."""
 
 import json
 import sys
