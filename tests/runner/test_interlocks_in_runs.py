@@ -34,7 +34,7 @@ class Tapped:
 
     def __call__(self, bench):
         wire = bench.wires["can0"]
-        from_host, to_hosts = wire.from_host, wire._to_hosts
+        from_host, to_hosts = wire.from_host, wire._send_to_hosts
 
         def out(frame, sender):
             self.host.append(Sent(bench.clock.now(), *frame))
@@ -44,7 +44,7 @@ class Tapped:
             self.drives += [Sent(bench.clock.now(), *frame) for frame in frames]
             to_hosts(frames)
 
-        wire.from_host, wire._to_hosts = out, back
+        wire.from_host, wire._send_to_hosts = out, back
 
     def zero_torque(self, node, since):
         """When the host took the torque away for good: from then on, no demand and no enabling."""
