@@ -58,7 +58,7 @@ def scan(
         print("\n".join(lines), file=sys.stderr)
     answer = scan_report.bench_file_part(scan_results) if as_yaml else "\n".join(lines)
     if as_json:
-        answer = json.dumps(scan_report.answer(scan_results))
+        answer = json.dumps(scan_report.as_json(scan_results))
     stdout_error = print_answer(answer.rstrip("\n")) if answer else None
     faults = [report.fault for _wire, report in scan_results if report.fault]
     end_error = end_error or (DeviceError(faults.pop()) if faults else None)
