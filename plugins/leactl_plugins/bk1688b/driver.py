@@ -9,9 +9,10 @@ from leactl.driver.serial_port import SerialPort
 from leactl.driver.serial_supply import SupplyDriver, SupplyLine, refuse_between_steps
 from leactl_plugins.bk1688b.dialogue import Bk1688bDialogue
 from leactl_plugins.bk1688b.probe import Bk1688bProbe
-from leactl_plugins.bk1688b.settings import LEAST_V, STEP_V, Bk1688bSettings
+from leactl_plugins.bk1688b.settings import LOWEST_VOLTAGE_V, STEP_V, Bk1688bSettings
 
-LEAST_OVER_OFF_CURRENT = 2.0  # least current limit over `off_current_A`: an output that is on must not seem off
+# least current limit over `off_current_A`: an output that is on and regulates its current must not count as off
+LEAST_LIMIT_OVER_OFF_CURRENT = 2.0
 
 
 class Bk1688b(SupplyDriver):
@@ -37,7 +38,7 @@ class Bk1688b(SupplyDriver):
 
     @classmethod
     def far_end(cls, settings: Bk1688bSettings, role: str, physics: Physics) -> SerialEmulator:
-        """A supply of this model that feeds the bench."""
+        """Return an emulated supply of this model that feeds the bench."""
         from leactl_plugins.bk1688b.emulator import Bk1688bEmulator
 
         return Bk1688bEmulator(settings.model, physics.at_supply(settings.feeds, role))
@@ -54,5 +55,5 @@ class Bk1688b(SupplyDriver):
         """
         rating = self.settings.rating
         refuse_between_steps(self.name, (voltage, current), (STEP_V, rating.current_step))
-        least = max(LEAST_OVER_OFF_CURRENT * self.settings.off_current_A, rating.current_step)
-        self._line.supply(voltage, current, (LEAST_V, least))
+        lowest_current = max(LEAST_LIMIT_OVER_OFF_CURRENT * self.settings.off_current_A, rating.current_step)
+        self._line.supply(voltage, current, (LOWEST_VOLTAGE_V, lowest_current))

@@ -7,9 +7,9 @@ import re
 
 from leactl.driver.far_end import SupplyLoad
 from leactl.driver.supply_end import SupplyEnd
-from leactl_plugins.bk1688b.settings import LEAST_V, RATINGS, STEP_V
+from leactl_plugins.bk1688b.settings import LOWEST_VOLTAGE_V, RATINGS, STEP_V
 
-MOST_INPUT = 64  # bytes of an unfinished command
+MOST_INPUT_BYTES = 64  # of an unfinished command, of which only the last are kept
 PRESET_COUNT = 3
 
 
@@ -18,8 +18,8 @@ class Bk1688bEmulator(SupplyEnd):
 
     def __init__(self, model: str, load: SupplyLoad, answer_s: float = 0.005) -> None:
         self.rating = RATINGS[model]
-        self.presets = [(LEAST_V, 0.0)] * PRESET_COUNT
-        super().__init__(load, answer_s, LEAST_V)
+        self.presets = [(LOWEST_VOLTAGE_V, 0.0)] * PRESET_COUNT
+        super().__init__(load, answer_s, LOWEST_VOLTAGE_V)
 
     def receive(self, data: bytes, now: float) -> None:
         """Receive bytes; a carriage return ends a command."""
@@ -31,44 +31,51 @@ class Bk1688bEmulator(SupplyEnd):
                 if answer is not None:
                     self._answer(answer.encode("ascii"), now)
             else:
-                self._input = (self._input + bytes([byte]))[-MOST_INPUT:]
+                self._input = (self._input + bytes([byte]))[-MOST_INPUT_BYTES:]
 
     def _obey(self, command: str) -> str | None:
-        """Carry out a command; returns its answer with its line ends, or None if it has none."""
+        """Carry out a command; return its answer with its line ends, or None if it has none."""
         match = re.fullmatch(r"(VOLT|CURR|GETS|GETD|GMAX|GETM|PROM|RUNM|SOUT|SESS|ENDS)([0-9]*)", command, re.ASCII)
         if match is None:
             return None
-        word, digits = match[1], match[2]
+        keyword, digits = match[1], match[2]
         queries = {"GETS": self._settings, "GETD": self._display, "GMAX": self._limits, "GETM": self._memory}
-        if word in queries and not digits:
-            return f"{queries[word]()}\rOK\r"
-        if word in ("SESS", "ENDS") and not digits:
+        if keyword in queries and not digits:
+            return f"{queries[keyword]()}\rOK\r"
+        if keyword in ("SESS", "ENDS") and not digits:
             return "OK\r"
-        return "OK\r" if self._change(word, digits) else None
+        return "OK\r" if self._change(keyword, digits) else None
 
-    def _change(self, word: str, digits: str) -> bool:
-        """Carry out a command with an argument; False if it is invalid."""
-        if word == "SOUT" and digits in ("0", "1"):
+    def _change(self, keyword: str, digits: str) -> bool:
+        """Carry out a command with an argument; return whether it is valid."""
+        if keyword == "SOUT" and digits in ("0", "1"):
             self._switch(digits == "0")
-        elif word == "VOLT" and len(digits) == 3 and LEAST_V <= (volts := int(digits) * STEP_V) <= self.rating.voltage:
+        elif (
+            keyword == "VOLT"
+            and len(digits) == 3
+            and LOWEST_VOLTAGE_V <= (volts := int(digits) * STEP_V) <= self.rating.voltage
+        ):
             self.set_volts = volts
-        elif word == "CURR" and len(digits) == 3 and (amperes := self._amperes(digits)) <= self.rating.current:
+        elif keyword == "CURR" and len(digits) == 3 and (amperes := self._amperes_of(digits)) <= self.rating.current:
             self.set_amperes = amperes
-        elif word == "PROM" and len(digits) == 6 * PRESET_COUNT:
+        elif keyword == "PROM" and len(digits) == 6 * PRESET_COUNT:
             presets_digits = [digits[6 * k : 6 * k + 6] for k in range(PRESET_COUNT)]
             self.presets = [
-                (int(preset_digits[:3]) * STEP_V, self._amperes(preset_digits[3:])) for preset_digits in presets_digits
+                (int(preset_digits[:3]) * STEP_V, self._amperes_of(preset_digits[3:]))
+                for preset_digits in presets_digits
             ]
-        elif word == "RUNM" and digits in ("0", "1", "2"):
+        elif keyword == "RUNM" and digits in ("0", "1", "2"):
             self.set_volts, self.set_amperes = self.presets[int(digits)]
         else:
             return False
         return True
 
-    def _amperes(self, digits: str) -> float:
+    def _amperes_of(self, digits: str) -> float:
+        """Return the current [A] that digits in steps of the model stand for."""
         return int(digits) * self.rating.current_step
 
     def _level_digits(self, volts: float, amperes: float) -> str:
+        """Return two levels as three digits each, in steps of the model."""
         return f"{round(volts / STEP_V):03d}{round(amperes / self.rating.current_step):03d}"
 
     def _settings(self) -> str:

@@ -10,7 +10,7 @@ from leactl_plugins.bk1688b import replies
 from leactl_plugins.bk1688b.replies import OK, LevelCounts
 from leactl_plugins.bk1688b.settings import RATINGS, STEP_V, can_be_model
 
-LIMITS = Query("GMAX", replies.parse_last_line(2, replies.parse_levels), last=OK)
+LIMITS = Query("GMAX", replies.parser_of_last_lines(2, replies.parse_levels), last=OK)
 SETTINGS = LIMITS._replace(text="GETS")
 MAKER = "BK Precision"
 
@@ -27,10 +27,10 @@ class Bk1688bProbe(LineProbe):
         if limits is None:
             levels: LevelCounts | None = self.answer(port, SETTINGS)
             if levels is not None:
-                detail = f"does not tell its limits; set to {levels.volts * STEP_V:.1f} V"
+                detail = f"does not tell its limits; set to {levels.voltage_steps * STEP_V:.1f} V"
                 yield Sighting(None, Identity(f"{MAKER}, model unknown"), {}, detail)
             return
-        detail = f"limits of {limits.volts * STEP_V:.1f} V and {limits.amperes} steps of current"
+        detail = f"limits of {limits.voltage_steps * STEP_V:.1f} V and {limits.current_steps} steps of current"
         models = [model for model, rating in RATINGS.items() if can_be_model(limits, rating)]
         settings: dict[str, Any] | None = {"model": models[0]} if len(models) == 1 else None
         model = models[0] if settings else "unknown to this driver"

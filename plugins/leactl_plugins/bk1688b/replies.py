@@ -11,10 +11,10 @@ Value = TypeVar("Value")
 
 
 class LevelCounts(NamedTuple):
-    """Voltage in steps of 0.1 V, current in steps of the model."""
+    """A voltage and a current as the supply sends them, in whole steps."""
 
-    volts: int
-    amperes: int
+    voltage_steps: int  # of 0.1 V
+    current_steps: int  # of `SupplyRating.current_step`
 
 
 class Display(NamedTuple):
@@ -22,22 +22,22 @@ class Display(NamedTuple):
 
     voltage: float  # V
     current: float  # A
-    limited: bool  # True: constant current; False: constant voltage
+    current_limited: bool  # True: constant current; False: constant voltage
 
 
 def parse_done(answer: bytes) -> None:
-    """Check the reply to a command.
+    """Check that a reply confirms a command.
 
     Raises
     ------
     Unreadable : anything but `OK`.
     """
     if answer != OK:
-        raise Unreadable(f"{_shown(answer)} where OK was expected")
+        raise Unreadable(f"{_reply_text(answer)} where OK was expected")
 
 
 def parse_levels(answer: bytes) -> LevelCounts:
-    """Parse two levels (settings or limits).
+    """Parse a voltage and a current (settings or limits).
 
     Raises
     ------
@@ -45,12 +45,12 @@ def parse_levels(answer: bytes) -> LevelCounts:
     """
     match = re.fullmatch(rb"([0-9]{3})([0-9]{3})\nOK", answer)
     if match is None:
-        raise Unreadable(f"{_shown(answer)} where six digits and OK were expected")
+        raise Unreadable(f"{_reply_text(answer)} where six digits and OK were expected")
     return LevelCounts(int(match[1]), int(match[2]))
 
 
 def parse_display(answer: bytes) -> Display:
-    """Parse the display.
+    """Parse the measured voltage and current and the regulated quantity.
 
     Raises
     ------
@@ -58,14 +58,15 @@ def parse_display(answer: bytes) -> Display:
     """
     match = re.fullmatch(rb"([0-9]{4})([0-9]{4})([01])\nOK", answer)
     if match is None:
-        raise Unreadable(f"{_shown(answer)} where nine digits and OK were expected")
+        raise Unreadable(f"{_reply_text(answer)} where nine digits and OK were expected")
     return Display(int(match[1]) / 100, int(match[2]) / 100, match[3] == b"1")
 
 
-def parse_last_line(lines: int, means: Callable[[bytes], Value]) -> Callable[[bytes], Value]:
-    """Parse only the last lines of a reply: the end of an earlier reply without its `OK` may precede them."""
-    return lambda answer: means(b"\n".join(answer.split(b"\n")[-lines:]))
+def parser_of_last_lines(line_count: int, parse: Callable[[bytes], Value]) -> Callable[[bytes], Value]:
+    """Return a parser of the last lines of a reply, which the end of an earlier reply without its `OK` may precede."""
+    return lambda answer: parse(b"\n".join(answer.split(b"\n")[-line_count:]))
 
 
-def _shown(answer: bytes) -> str:
+def _reply_text(answer: bytes) -> str:
+    """Return a reply as text for a message."""
     return repr(answer.decode("ascii", "backslashreplace"))

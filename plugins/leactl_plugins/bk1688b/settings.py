@@ -7,8 +7,8 @@ from pydantic import Field, model_validator
 from leactl.driver.contract import DriverSettings
 from leactl_plugins.bk1688b.replies import LevelCounts
 
-LEAST_V: Final = 1.0  # lowest voltage that can be set
-STEP_V: Final = 0.1
+LOWEST_VOLTAGE_V: Final = 1.0  # lowest voltage that can be set
+STEP_V: Final = 0.1  # of voltage settings, in all models
 RATING_TOLERANCE: Final = 0.15  # share of its rating by which the limits that a supply reports may differ
 
 
@@ -33,7 +33,7 @@ HIGHEST_RATING: Final = (
 
 def can_be_model(reported_limits: LevelCounts, rating: SupplyRating) -> bool:
     """Return whether a supply that reports these limits can be of the model with this rating."""
-    volts, amperes = reported_limits.volts * STEP_V, reported_limits.amperes * rating.current_step
+    volts, amperes = reported_limits.voltage_steps * STEP_V, reported_limits.current_steps * rating.current_step
     return abs(volts / rating.voltage - 1) < RATING_TOLERANCE and abs(amperes / rating.current - 1) < RATING_TOLERANCE
 
 
@@ -50,7 +50,7 @@ class Bk1688bSettings(DriverSettings):
     model: Literal["1685B", "1687B", "1688B"]
     feeds: Literal["leads", "bus"]  # two leads of the role's motor, or the drives' DC link
     # at least 2 V: a switched-off output is set to up to 1.9 V
-    voltage_limit_V: Annotated[float, Field(strict=True, ge=2 * LEAST_V, le=60, allow_inf_nan=False)]  # noqa: N815 (a unit keeps its letter)
+    voltage_limit_V: Annotated[float, Field(strict=True, ge=2 * LOWEST_VOLTAGE_V, le=60, allow_inf_nan=False)]  # noqa: N815 (a unit keeps its letter)
     current_limit_A: Annotated[float, Field(strict=True, gt=0, le=20, allow_inf_nan=False)]  # noqa: N815
     off_voltage_V: OffThreshold = 0.5  # noqa: N815
     off_current_A: OffThreshold = 0.05  # noqa: N815
@@ -60,15 +60,15 @@ class Bk1688bSettings(DriverSettings):
     @model_validator(mode="after")
     def _limits_within_rating(self) -> "Bk1688bSettings":
         rating = self.rating
-        for name, value, most, unit in (
+        for name, value, bound, unit in (
             ("voltage_limit_V", self.voltage_limit_V, rating.voltage, "V"),
             ("current_limit_A", self.current_limit_A, rating.current, "A"),
         ):
-            if value > most:
-                raise ValueError(f"{name}: {value:g} {unit} is above the {most:g} {unit} of a {self.model}; lower it")
+            if value > bound:
+                raise ValueError(f"{name}: {value:g} {unit} is above the {bound:g} {unit} of a {self.model}; lower it")
         return self
 
     @property
     def rating(self) -> SupplyRating:
-        """Rating of the model."""
+        """Rating of the model in the settings."""
         return RATINGS[self.model]
