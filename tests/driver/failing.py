@@ -373,7 +373,7 @@ class FailingSupplyEnd(FailingLine, ScpiSupplyEmulator):
 
     def note_error(self, number: int, text: str) -> None:
         """Have an entry in the error queue."""
-        self._fail((number, text))
+        self._queue_error((number, text))
 
     def protect_itself(self, volts: float, over_voltage: bool, amperes: float, over_current: bool) -> None:
         """Have protections at these levels, each armed or not, as somebody has left them."""
@@ -442,7 +442,7 @@ class FailingKoradEnd(FailingLine, KoradEmulator):
 
     def busy_until(self, moment: float) -> None:
         """Lose what comes before this moment."""
-        self._rested = moment
+        self._ready_at = moment
 
 
 class FailingElmoEnd(ElmoSerialEmulator):

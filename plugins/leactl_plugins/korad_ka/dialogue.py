@@ -1,7 +1,7 @@
 """Commands of a supply that confirms none of them and whose answers have no end mark: every setting is read back.
 
-Silence ends an answer, so that too many bytes are noticed as well as too few. An answer does not identify its query;
-before an output counts as off, a voltage must be read back that was not set recently.
+Silence ends an answer, so that too many bytes are noticed as well as too few. An answer does not identify its query.
+Before an output counts as off, a voltage has to be read back that none of the last 99 attempts has set.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,41 +14,56 @@ from leactl.driver.serial_supply import Regulation, SupplyReading, SwitchOffTrou
 from leactl.errors import DeviceError, DeviceFault, NoAnswer
 from leactl_plugins.korad_ka import replies
 from leactl_plugins.korad_ka.replies import KoradIdentity, SupplyStatus
-from leactl_plugins.korad_ka.settings import RATINGS, SOLD_AS, STEP_A, STEP_V, TOO_SLOW, KoradKaSettings, model_of
+from leactl_plugins.korad_ka.settings import (
+    RATINGS,
+    SOLD_AS,
+    STEP_A,
+    STEP_V,
+    TOO_SLOW_FIRMWARE,
+    KoradKaSettings,
+    model_of,
+)
 
 ON, OFF = "OUT1", "OUT0"
 ANSWER_END_S = 0.03  # silence that ends an answer; an adapter on USB holds bytes back for up to 16 ms
 QUIET_S = 0.1  # silence after which no answer to an earlier query is expected any more
-LONGEST_CHATTER_S = 0.5  # time until a line must be silent; a late answer has passed by then
-LEAST_MARK, MARK_COUNT = 100, 100  # voltage settings from 1.00 V to 1.99 V; each try to switch off sets another
-SET_TRIES = 3  # of setting the levels
-MOST_STATE_READINGS = 10  # until a switched output has risen or fallen
-SETTINGS_S = 1.0  # time between two readings of the settings
+LONGEST_CHATTER_S = 0.5  # time within which a line must become silent; late answers have passed by then
+FIRST_MARK, MARK_COUNT = (
+    100,
+    100,
+)  # voltages from 1.00 V to 1.99 V; each attempt to switch off sets the next one
+SET_TRIES = 3  # attempts to set the levels
+MOST_STATE_READINGS = 10  # in which a switched output has to rise or fall
+SETTINGS_CHECK_INTERVAL_S = 1.0  # time between two readings of the settings, which a person may change at the panel
 # sigrok's wiki: OVP1 and OCP1 switch off above the set voltage or current; no command sets or reads a level
 UNPROTECTED_NOTICE = (
     "no protection with a level of its own (OVP, OCP): voltage_limit_V and current_limit_A bound nothing but what is"
     " commanded"
 )
-MOST_OVER_RATING = 1.2  # largest reading of a supply over its rating
+HIGHEST_READING_OVER_RATING = 1.2  # highest credible voltage or current, over the rating of the model
 
 
 def _query(text: str, parse: Callable[[bytes], Any]) -> Query:
+    """Return a query whose answer ends with a silence."""
     return Query(text, parse, silence_s=ANSWER_END_S)
 
 
-SET_VOLTS, SET_AMPERES = _query("VSET1?", replies.parse_hundredths), _query("ISET1?", replies.parse_set_thousandths)
-VOLTS, AMPERES = _query("VOUT1?", replies.parse_hundredths), _query("IOUT1?", replies.parse_thousandths)
+SET_VOLTAGE_QUERY, SET_CURRENT_QUERY = (
+    _query("VSET1?", replies.parse_hundredths),
+    _query("ISET1?", replies.parse_set_thousandths),
+)
+VOLTAGE_QUERY, CURRENT_QUERY = _query("VOUT1?", replies.parse_hundredths), _query("IOUT1?", replies.parse_thousandths)
 STATUS, IDENTIFY = _query("STATUS?", replies.parse_status), _query("*IDN?", replies.parse_identity)
 
 
 class Levels(NamedTuple):
-    """Set levels, in steps of 0.01 V and 0.001 A."""
+    """Set levels, in whole steps."""
 
-    volts: int
-    amperes: int
+    voltage_steps: int  # of 0.01 V
+    current_steps: int  # of 0.001 A
 
     def __str__(self) -> str:
-        return f"{self.volts * STEP_V:.2f} V and {self.amperes * STEP_A:.3f} A"
+        return f"{self.voltage_steps * STEP_V:.2f} V and {self.current_steps * STEP_A:.3f} A"
 
 
 class OutputState(NamedTuple):
@@ -72,11 +87,11 @@ class KoradDialogue:
     def __init__(self, settings: KoradKaSettings, port: SerialPort) -> None:
         self._settings, self._port = settings, port
         self._commanded = Levels(0, 0)
-        self._mark = 0
-        self._settings_read_at = 0.0
+        self._last_mark = 0  # steps above `FIRST_MARK`, set by the last attempt to switch off
+        self._settings_read_at = 0.0  # time [s] at which the settings were read
         self._regulation = Regulation()
-        self._panel = ""  # fault text if the settings were changed at the panel
-        self.reported_identity: KoradIdentity | None = None
+        self._panel_fault_text = ""  # empty unless the settings were changed at the panel
+        self.reported_identity: KoradIdentity | None = None  # of the last `set_up`
 
     def synchronise(self) -> Script[None]:
         """Wait until nothing has arrived for `QUIET_S`.
@@ -85,26 +100,26 @@ class KoradDialogue:
         ------
         NoAnswer : the line is not silent within `LONGEST_CHATTER_S`.
         """
-        until = self._port.clock.now() + LONGEST_CHATTER_S
+        deadline = self._port.clock.now() + LONGEST_CHATTER_S
         while not self._port.silent_for(QUIET_S):
-            if self._port.clock.now() >= until:
+            if self._port.clock.now() >= deadline:
                 raise NoAnswer(f"the line was never silent for {QUIET_S:g} s within {LONGEST_CHATTER_S:g} s")
             yield Pause()
 
     def output_off(self, off_trouble: SwitchOffTrouble) -> Script[Confirmation]:
         """Switch off repeatedly until the state is off and neither voltage nor current are measured.
 
-        Each try sets and reads back a voltage that the last 99 tries did not use. All answers after that value are
-        thereby known to be later than the command, and an output that does not switch off is at least turned down.
+        Each attempt sets and reads back a voltage that the last 99 attempts did not use. All answers after that value
+        are thereby known to be later than the command, and an output that does not switch off is at least turned down.
         """
         while True:
             yield OFF
-            self._mark = (self._mark + 1) % MARK_COUNT
-            mark = LEAST_MARK + self._mark
-            yield f"VSET1:{mark * STEP_V:05.2f}"
+            self._last_mark = (self._last_mark + 1) % MARK_COUNT
+            mark_steps = FIRST_MARK + self._last_mark
+            yield f"VSET1:{mark_steps * STEP_V:05.2f}"
             try:
-                read_back: int = yield from ask(SET_VOLTS)
-                if read_back != mark:
+                read_back: int = yield from ask(SET_VOLTAGE_QUERY)
+                if read_back != mark_steps:
                     continue
                 output = yield from self._read_output()
             except Unreadable:
@@ -130,19 +145,21 @@ class KoradDialogue:
         except NoAnswer:
             notices.append(f"does not tell its model (*IDN?); it is taken for a {model}")
         else:
-            if (reported.name, reported.firmware) == TOO_SLOW:
+            if (reported.name, reported.firmware) == TOO_SLOW_FIRMWARE:
                 raise DeviceError(
                     f"{reported.name} with firmware {reported.firmware} answers, which needs too long for a command"
                 )
             if model_of(reported.name) != model:
-                names = " or ".join([f"KORAD{model}", *(name for name, sold in SOLD_AS.items() if sold == model)])
+                names = " or ".join(
+                    [f"KORAD{model}", *(name for name, sold_model in SOLD_AS.items() if sold_model == model)]
+                )
                 raise DeviceError(f"{reported.name} answers; a {model}, which answers {names}, was expected")
             self.reported_identity = reported
         yield from self._put(Levels(0, 0))
         return notices
 
     def identity(self) -> Identity:
-        """Name, serial number and firmware that the supply reported."""
+        """Return the name, serial number and firmware that the supply has reported; a field is empty if it has not."""
         return identity_of(self.reported_identity) if self.reported_identity else Identity()
 
     def leave(self) -> Script[Sequence[str]]:
@@ -155,23 +172,26 @@ class KoradDialogue:
 
         Raises
         ------
-        DeviceError : three times, other levels read back.
+        DeviceError : other levels read back after each of `SET_TRIES` attempts.
         """
         yield from self._put(Levels(round(voltage / STEP_V), round(current / STEP_A)))
 
     def _put(self, levels: Levels) -> Script[None]:
+        """Set both levels and read them back, repeatedly if needed; raise DeviceError if they differ in the end."""
         self._commanded = levels
         self._regulation.begin_anew()
         for _ in range(SET_TRIES):
-            yield f"ISET1:{levels.amperes * STEP_A:.3f}"
-            yield f"VSET1:{levels.volts * STEP_V:05.2f}"
+            yield f"ISET1:{levels.current_steps * STEP_A:.3f}"
+            yield f"VSET1:{levels.voltage_steps * STEP_V:05.2f}"
             read_back = yield from self._read_levels()
             if read_back == levels:
                 return
         raise DeviceError(f"{read_back} are set after {levels} were commanded")
 
     def switch(self, on: bool) -> Script[None]:
-        """Switch the output and check its state; off is repeated, on is not, because a protection may have tripped.
+        """Switch the output and check its state.
+
+        The command to switch off is repeated. The command to switch on is not, because a protection may have tripped.
 
         Raises
         ------
@@ -189,9 +209,9 @@ class KoradDialogue:
         raise DeviceFault(f"the output does not switch {'on' if on else 'off'}, {output}")
 
     def measure(self) -> Script[SupplyReading]:
-        """Measure voltage and current and read the state; every `SETTINGS_S`, also read the settings.
+        """Measure voltage and current and read the state; every `SETTINGS_CHECK_INTERVAL_S`, also read the settings.
 
-        A round begins after a silence, in which late answers arrive and the instrument obeys `off` at once.
+        A round begins after a silence, in which late answers arrive and the instrument would obey `off` at once.
 
         Raises
         ------
@@ -200,50 +220,58 @@ class KoradDialogue:
         yield from self.synchronise()
         output = yield from self._read_output()
         rating = self._settings.rating
-        if output.voltage > MOST_OVER_RATING * rating.voltage or output.current > MOST_OVER_RATING * rating.current:
+        if (
+            output.voltage > HIGHEST_READING_OVER_RATING * rating.voltage
+            or output.current > HIGHEST_READING_OVER_RATING * rating.current
+        ):
             raise Unreadable(f"{output}, where no more than {rating.voltage:g} V and {rating.current:g} A can be")
         on = self._is_on(output)
-        mode = ("constant current" if output.status.limited else "constant voltage") if on else ""
-        if output.answer_time - self._settings_read_at >= SETTINGS_S:
+        mode = ("constant current" if output.status.current_limited else "constant voltage") if on else ""
+        if output.answer_time - self._settings_read_at >= SETTINGS_CHECK_INTERVAL_S:
             self._settings_read_at = output.answer_time
             levels = yield from self._read_levels()
-            differs = levels != self._commanded
-            self._panel = f"set to {levels} by itself; {self._commanded} were commanded" if differs else ""
-        fault = self._panel or (self._regulation_fault(output) if on else "")
+            levels_differ = levels != self._commanded
+            self._panel_fault_text = (
+                f"set to {levels} by itself; {self._commanded} were commanded" if levels_differ else ""
+            )
+        fault = self._panel_fault_text or (self._regulation_fault(output) if on else "")
         return SupplyReading(output.time, output.voltage, output.current, on, mode, fault)
 
     def _regulation_fault(self, output: OutputState) -> str:
-        """Text if the output has lost its regulation; empty if it has not."""
-        levels = self._commanded.volts * STEP_V, self._commanded.amperes * STEP_A
+        """Return a text if the output has lost its regulation; empty if it has not."""
+        levels = self._commanded.voltage_steps * STEP_V, self._commanded.current_steps * STEP_A
         measured = output.voltage, output.current
-        if not self._regulation.is_lost(measured, levels, output.status.limited, output.answer_time):
+        if not self._regulation.is_lost(measured, levels, output.status.current_limited, output.answer_time):
             return ""
         return f"out of regulation, {output.voltage:.2f} V and {output.current:.3f} A; {self._commanded} are set"
 
     def _is_on(self, output: OutputState) -> bool:
-        off_v, off_a = self._settings.off_voltage_V, self._settings.off_current_A
-        return output.status.on or output.voltage > off_v or output.current > off_a
+        """Return whether the output reports to be on, or its voltage or current exceeds its `off_` setting."""
+        off_voltage, off_current = self._settings.off_voltage_V, self._settings.off_current_A
+        return output.status.on or output.voltage > off_voltage or output.current > off_current
 
     def _read_levels(self) -> Script[Levels]:
-        volts: int = yield from ask(SET_VOLTS)
-        amperes: int = yield from ask(SET_AMPERES)
-        return Levels(volts, amperes)
+        """Read the set levels."""
+        voltage_steps: int = yield from ask(SET_VOLTAGE_QUERY)
+        current_steps: int = yield from ask(SET_CURRENT_QUERY)
+        return Levels(voltage_steps, current_steps)
 
     def _read_output(self) -> Script[OutputState]:
-        state: SupplyStatus = yield from ask(STATUS)
-        volts = yield VOLTS
-        amperes = yield AMPERES
-        assert volts is not None
-        assert amperes is not None
-        middle = (volts.asked + amperes.seen) / 2
-        return OutputState(state, volts.value * STEP_V, amperes.value * STEP_A, middle, amperes.seen)
+        """Read the state of the output, its voltage and its current."""
+        status: SupplyStatus = yield from ask(STATUS)
+        voltage = yield VOLTAGE_QUERY
+        current = yield CURRENT_QUERY
+        assert voltage is not None
+        assert current is not None
+        middle_time = (voltage.asked + current.seen) / 2
+        return OutputState(status, voltage.value * STEP_V, current.value * STEP_A, middle_time, current.seen)
 
 
 def identity_of(reported: KoradIdentity) -> Identity:
-    """Identity that a supply has reported."""
+    """Return what a supply has reported as the identity of a device."""
     return Identity(reported.name, reported.serial_number, reported.firmware)
 
 
 def known_names() -> str:
-    """Names of the models and of their sellers, as text."""
+    """Return the names by which the models and their resold versions are known, as text."""
     return ", ".join((*RATINGS, *SOLD_AS))

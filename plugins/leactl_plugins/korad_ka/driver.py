@@ -12,8 +12,8 @@ from leactl_plugins.korad_ka.dialogue import KoradDialogue
 from leactl_plugins.korad_ka.probe import KoradProbe
 from leactl_plugins.korad_ka.settings import STEP_A, STEP_V, KoradKaSettings
 
-COMMANDS_PER_TRY = 6  # of switching off; the first command may have to wait as well
-LAST_ANSWER_S = 0.1  # time for the last answer of a try, with the silence that ends it
+COMMANDS_PER_TRY = 6  # to switch off; the first command may have to wait for its turn as well
+LAST_ANSWER_S = 0.1  # time for the last answer of an attempt, with the silence that ends it
 
 
 class KoradKa(SupplyDriver):
@@ -39,12 +39,12 @@ class KoradKa(SupplyDriver):
         self._line = SupplyLine(name, role, settings, port, self._dialogue, try_s)
 
     def identity(self) -> Identity:
-        """Name, serial number and firmware from `*IDN?`; older firmwares report no number."""
+        """Return name, serial number and firmware from `*IDN?`; older firmwares report no serial number."""
         return self._dialogue.identity()
 
     @classmethod
     def far_end(cls, settings: KoradKaSettings, role: str, physics: Physics) -> SerialEmulator:
-        """A supply of this model that feeds the bench."""
+        """Return an emulated supply of this model that feeds the bench."""
         from leactl_plugins.korad_ka.emulator import KoradEmulator
 
         return KoradEmulator(settings.model, physics.at_supply(settings.feeds, role))

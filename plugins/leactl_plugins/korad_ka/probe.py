@@ -18,7 +18,7 @@ class KoradProbe(LineProbe):
         """Ask for the identity; if nothing answers, send an end of line, which other instruments wait for."""
         port.line_end = b""
         try:
-            reported = Talk(port, _identified(), ANSWER_S).finish(port.clock.now() + 2 * ANSWER_S)
+            reported = Talk(port, _query_identity(), ANSWER_S).finish(port.clock.now() + 2 * ANSWER_S)
         except NoAnswer:
             port.write(b"\n")
             return
@@ -29,7 +29,8 @@ class KoradProbe(LineProbe):
             yield Sighting(None, identity_of(reported), {"model": model})
 
 
-def _identified() -> Script[KoradIdentity]:
+def _query_identity() -> Script[KoradIdentity]:
+    """Query the identity."""
     reply = yield IDENTIFY._replace(patient=True)
     assert reply is not None
     identity: KoradIdentity = reply.value

@@ -9,10 +9,10 @@ ON, CONSTANT_VOLTAGE = 0x40, 0x01
 
 
 class SupplyStatus(NamedTuple):
-    """The bits on which all firmwares agree."""
+    """The bits of the state on which all firmwares agree."""
 
     on: bool
-    limited: bool  # True: constant current; False: constant voltage
+    current_limited: bool  # True: constant current; False: constant voltage
 
 
 class KoradIdentity(NamedTuple):
@@ -24,37 +24,37 @@ class KoradIdentity(NamedTuple):
 
 
 def parse_hundredths(answer: bytes) -> int:
-    """Parse a voltage, `12.34`, in steps of 0.01 V.
+    """Parse a voltage such as `12.34` to steps of 0.01 V.
 
     Raises
     ------
-    Unreadable : another form.
+    Unreadable : the answer has another form.
     """
     match = re.fullmatch(rb"([0-9]{2})\.([0-9]{2})", answer)
     if match is None:
-        raise Unreadable(f"{_shown(answer)} where a voltage such as 12.34 was expected")
+        raise Unreadable(f"{_answer_text(answer)} where a voltage such as 12.34 was expected")
     return int(match[1] + match[2])
 
 
 def parse_thousandths(answer: bytes) -> int:
-    """Parse a current, `0.125`, in steps of 0.001 A.
+    """Parse a current such as `0.125` to steps of 0.001 A.
 
     Raises
     ------
-    Unreadable : another form.
+    Unreadable : the answer has another form.
     """
     match = re.fullmatch(rb"([0-9])\.([0-9]{3})", answer)
     if match is None:
-        raise Unreadable(f"{_shown(answer)} where a current such as 0.125 was expected")
+        raise Unreadable(f"{_answer_text(answer)} where a current such as 0.125 was expected")
     return int(match[1] + match[2])
 
 
 def parse_set_thousandths(answer: bytes) -> int:
-    """Parse a set current; some firmwares send a meaningless sixth byte after it.
+    """Parse a set current to steps of 0.001 A; some firmwares send a meaningless sixth byte after it.
 
     Raises
     ------
-    Unreadable : another form.
+    Unreadable : the answer has another form.
     """
     return parse_thousandths(answer[:5] if len(answer) == 6 else answer)
 
@@ -67,22 +67,23 @@ def parse_status(answer: bytes) -> SupplyStatus:
     Unreadable : more than one byte.
     """
     if len(answer) != 1:
-        raise Unreadable(f"{_shown(answer)} where one byte was expected")
+        raise Unreadable(f"{_answer_text(answer)} where one byte was expected")
     return SupplyStatus(bool(answer[0] & ON), not answer[0] & CONSTANT_VOLTAGE)
 
 
 def parse_identity(answer: bytes) -> KoradIdentity:
-    """Parse name, firmware and serial number; some firmwares send a byte after them that is no text.
+    """Parse name, firmware and serial number; some firmwares send a byte after them that is not text.
 
     Raises
     ------
-    Unreadable : no name and version.
+    Unreadable : the answer has no name with a version.
     """
     match = re.fullmatch(rb"([ -~]+?) ?V([0-9]+\.[0-9]+)(?: SN:([0-9A-Za-z]+))?[^ -~]?", answer, re.DOTALL)
     if match is None:
-        raise Unreadable(f"{_shown(answer)} where a name and a version such as KORADKA3005PV2.0 were expected")
+        raise Unreadable(f"{_answer_text(answer)} where a name and a version such as KORADKA3005PV2.0 were expected")
     return KoradIdentity(*((text or b"").decode("ascii") for text in match.groups()))
 
 
-def _shown(answer: bytes) -> str:
+def _answer_text(answer: bytes) -> str:
+    """Return an answer as text for a message, in quotes."""
     return repr(answer)[1:]

@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from leactl.driver.contract import DriverSettings
 
-STEP_V, STEP_A = 0.01, 0.001
+STEP_V, STEP_A = 0.01, 0.001  # of the levels
 
 
 class Rating(NamedTuple):
@@ -33,12 +33,12 @@ SOLD_AS: Final = {  # answers to *IDN? by other makers, without blanks (sigrok w
     "TENMA72-2550": "KA6003P",
     "RND320-KA3005P": "KA3005P",
 }
-# name and version that lose commands for longer than the rest of them (libsigrok, pull request 210)
-TOO_SLOW: Final = ("VELLEMANPS3005D", "1.3")
+# name and firmware of a supply that loses commands for longer than `pace_s` covers (libsigrok, pull request 210)
+TOO_SLOW_FIRMWARE: Final = ("VELLEMANPS3005D", "1.3")
 
 
 def model_of(name: str) -> str | None:
-    """Model that reports this name; None for a name of no model of this driver."""
+    """Return the model that reports this name; None if no model of this driver does."""
     name = name.replace(" ", "")
     model = name.removeprefix("KORAD")
     return model if model != name and model in RATINGS else SOLD_AS.get(name)
@@ -60,17 +60,17 @@ class KoradKaSettings(DriverSettings):
     )
 
     @model_validator(mode="after")
-    def _within_the_model(self) -> "KoradKaSettings":
+    def _limits_within_rating(self) -> "KoradKaSettings":
         rating = self.rating
-        for name, value, most, unit in (
+        for name, value, bound, unit in (
             ("voltage_limit_V", self.voltage_limit_V, rating.voltage, "V"),
             ("current_limit_A", self.current_limit_A, rating.current, "A"),
         ):
-            if value > most:
-                raise ValueError(f"{name} {value:g} {unit}: a {self.model} is served up to {most:g} {unit}")
+            if value > bound:
+                raise ValueError(f"{name} {value:g} {unit}: a {self.model} is served up to {bound:g} {unit}")
         return self
 
     @property
     def rating(self) -> Rating:
-        """Rating of the model."""
+        """Rating of the model in the settings."""
         return RATINGS[self.model]
