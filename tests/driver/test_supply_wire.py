@@ -695,7 +695,7 @@ def test_every_number_that_a_supply_prints_is_read(value, form):
 @given(st.floats(-20, 20), st.sampled_from(["e36xx", "dp800"]))
 def test_every_reading_that_a_supply_prints_is_read_and_no_rest_of_one_is_another(value, dialect):
     form = DIALECTS[dialect]("", 0).reading
-    text = FailingSupplyEnd(dialect)._number(value)
+    text = FailingSupplyEnd(dialect)._number_text(value)
     assert replies.parse_reading(text.encode(), form, 20.0) == float(text)
     if dialect == "e36xx":
         for lost in range(1, len(text)):

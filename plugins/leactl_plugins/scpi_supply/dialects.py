@@ -1,4 +1,4 @@
-"""Commands of four families of supplies, for one output, where SCPI leaves them open; each names its output if needed.
+"""Commands of four families of supplies for one output; families differ in what SCPI leaves open.
 
 If a model has several outputs, every command and every query names the output itself, so that none depends on which
 output is selected. In a command, `{}` is replaced by a value, or by ON or OFF.
@@ -15,31 +15,31 @@ from leactl.driver.conversation import Query
 from leactl_plugins.scpi_supply import replies
 from leactl_plugins.scpi_supply.models import TRACKING
 
-RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 0.005, 0.01  # share of a level that is read back, plus V or A
-# the data sheets of the E36xx have 0.5 % and 0.5 V for the over-voltage protection; so has Rigol for its supplies
+RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 0.005, 0.01  # of a level that is read back: a share of it, plus V or A
+# over-voltage protection: the data sheets of the E36xx state 0.5 % and 0.5 V, and so does Rigol for its supplies
 PROTECTION_ACCURACY = TripAccuracy(0.005 + RELATIVE_TOLERANCE, 0.5 + ABSOLUTE_TOLERANCE)
 UNKNOWN_ACCURACY = TripAccuracy(0.0, math.inf)  # so that no level counts as a protection
-LEAST_CURRENT_E36300 = 0.002  # A; an E36312A answers this or less to CURR? MIN
+LOWEST_CURRENT_E36300 = 0.002  # A, that can be set; an E36312A answers this or less to CURR? MIN
 OVER_VOLTAGE, OVER_CURRENT = "over-voltage protection", "over-current protection"
-KEYSIGHT_NUMBER = re.compile(r"[+-]\d\.\d{8}E[+-]\d\d", re.ASCII)  # always of this length
+KEYSIGHT_NUMBER = re.compile(r"[+-]\d\.\d{8}E[+-]\d\d", re.ASCII)  # every answer has this length
 INDEPENDENT = "set them independent at the instrument"
 
 
 class Level(NamedTuple):
-    """A value that can be set and read back."""
+    """Command that sets a value, with `{}` in its place, and query that reads it back."""
 
     command: str
     query: str
 
 
 class Protection(NamedTuple):
-    """One protection: its level, its switch, and whether it has tripped."""
+    """Commands and queries of one protection."""
 
     name: str
     level: Level
     switch: str  # empty: it cannot be switched off
-    armed: str
-    tripped: str
+    armed_query: str  # empty: it has no switch
+    tripped_query: str
 
 
 class RequiredAnswer(NamedTuple):
@@ -47,7 +47,7 @@ class RequiredAnswer(NamedTuple):
 
     question: Query
     accepted: tuple[str, ...]
-    otherwise: str
+    refusal: str  # message if another answer comes
 
 
 class ScpiDialect(NamedTuple):
@@ -58,7 +58,7 @@ class ScpiDialect(NamedTuple):
     measure_voltage: str
     measure_current: str
     switch: str
-    on: Query
+    on: Query  # whether the output is on
     condition: Query  # 1: constant current, 2: constant voltage
     error: Query
     over_voltage: Protection | None
@@ -68,9 +68,9 @@ class ScpiDialect(NamedTuple):
     local: str = "SYST:LOC"
     required_answers: tuple[RequiredAnswer, ...] = ()
     select: Level | None = None  # selects this output, on which a command acts if its end with the channel list is lost
-    set_range: str = ""  # empty: the family has no ranges that can be set
-    decimals: int = 4  # of a level
-    least_current: float = 0.0  # A, lowest level that can be set
+    set_range: str = ""  # empty: the family has no output ranges that can be set
+    decimals: int = 4  # of a level in a command
+    lowest_current: float = 0.0  # A, lowest level that can be set
     clear: bytes = b""  # makes the instrument abandon its present command, if it has such a byte
     trip_accuracy: TripAccuracy = PROTECTION_ACCURACY
 
@@ -83,8 +83,8 @@ class ScpiDialect(NamedTuple):
 
 
 def _e36xx(_model: str, _output: int) -> ScpiDialect:
-    """One output."""
-    volts, amperes = (
+    """Return the commands of a Keysight E36xx, which has one output."""
+    over_voltage, over_current = (
         Protection(name, Level(f"{head} {{}}", f"{head}?"), f"{head}:STAT {{}}", f"{head}:STAT?", f"{head}:TRIP?")
         for name, head in ((OVER_VOLTAGE, "VOLT:PROT"), (OVER_CURRENT, "CURR:PROT"))
     )
@@ -97,8 +97,8 @@ def _e36xx(_model: str, _output: int) -> ScpiDialect:
         Query("OUTP?", replies.parse_boolean),
         Query("STAT:QUES:COND?", replies.parse_register),
         Query("SYST:ERR?", replies.parse_error_entry),
-        volts,
-        amperes,
+        over_voltage,
+        over_current,
         KEYSIGHT_NUMBER,
         set_range="VOLT:RANG {}",
         clear=b"\x03",  # device clear on RS-232 (E3632A User's Guide, page 61)
@@ -106,54 +106,63 @@ def _e36xx(_model: str, _output: int) -> ScpiDialect:
 
 
 def _e36300(model: str, output: int) -> ScpiDialect:
-    """Three outputs; a channel list ends each command and query.
+    """Return the commands of a Keysight E36300, which has three outputs; a channel list ends each command and query.
 
     The over-voltage protection has no switch. The over-current protection has no level: it trips as soon as the output
-    regulates its current, and the driver lets an output regulate its current.
+    regulates its current. It must be off, because the driver lets an output regulate its current.
     """
-    at = f"(@{output})"
-    together = "its outputs are switched or set together: " + INDEPENDENT
+    channel_list = f"(@{output})"
+    coupling_refusal = "its outputs are switched or set together: " + INDEPENDENT
     required_answers = [
         RequiredAnswer(
-            Query(f"CURR:PROT:STAT? {at}", replies.parse_word),
+            Query(f"CURR:PROT:STAT? {channel_list}", replies.parse_word),
             ("0",),
             f"{OVER_CURRENT} is on, and would trip as soon as the output regulates its current: switch it off at the"
             " instrument",
         ),
-        RequiredAnswer(Query("OUTP:COUP:CHAN?", replies.parse_word), ("NONE",), together),
-        RequiredAnswer(Query("OUTP:TRAC?", replies.parse_word), ("0",), together),
+        RequiredAnswer(Query("OUTP:COUP:CHAN?", replies.parse_word), ("NONE",), coupling_refusal),
+        RequiredAnswer(Query("OUTP:TRAC?", replies.parse_word), ("0",), coupling_refusal),
     ]
     if model != "E36311A":  # whose outputs cannot be paired
-        required_answers.append(RequiredAnswer(Query("OUTP:PAIR?", replies.parse_word), ("OFF",), together))
+        required_answers.append(RequiredAnswer(Query("OUTP:PAIR?", replies.parse_word), ("OFF",), coupling_refusal))
     return ScpiDialect(
-        Level(f"VOLT {{}},{at}", f"VOLT? {at}"),
-        Level(f"CURR {{}},{at}", f"CURR? {at}"),
-        f"MEAS:VOLT? {at}",
-        f"MEAS:CURR? {at}",
-        f"OUTP {{}},{at}",
-        Query(f"OUTP? {at}", replies.parse_boolean),
+        Level(f"VOLT {{}},{channel_list}", f"VOLT? {channel_list}"),
+        Level(f"CURR {{}},{channel_list}", f"CURR? {channel_list}"),
+        f"MEAS:VOLT? {channel_list}",
+        f"MEAS:CURR? {channel_list}",
+        f"OUTP {{}},{channel_list}",
+        Query(f"OUTP? {channel_list}", replies.parse_boolean),
         Query(f"STAT:QUES:INST:ISUM{output}:COND?", replies.parse_regulation),
         Query("SYST:ERR?", replies.parse_error_entry),
-        Protection(OVER_VOLTAGE, Level(f"VOLT:PROT {{}},{at}", f"VOLT:PROT? {at}"), "", "", f"VOLT:PROT:TRIP? {at}"),
+        Protection(
+            OVER_VOLTAGE,
+            Level(f"VOLT:PROT {{}},{channel_list}", f"VOLT:PROT? {channel_list}"),
+            "",
+            "",
+            f"VOLT:PROT:TRIP? {channel_list}",
+        ),
         None,
         KEYSIGHT_NUMBER,
         required_answers=tuple(required_answers),
-        least_current=LEAST_CURRENT_E36300,
+        lowest_current=LOWEST_CURRENT_E36300,
         select=Level(f"INST:NSEL {output}", "INST:NSEL?"),
         trip_accuracy=UNKNOWN_ACCURACY,
     )
 
 
 def _dp800(model: str, output: int) -> ScpiDialect:
-    """One output, or several with the channel in front of each value and behind each query."""
-    first, last, source = (f"CH{output},", f" CH{output}", f"SOUR{output}:") if output else ("", "", "")
-    volts, amperes = (
+    """Return the commands of a Rigol DP800, which has one output or several.
+
+    If it has several, the channel stands in front of each value and behind each query.
+    """
+    value_prefix, query_suffix, source = (f"CH{output},", f" CH{output}", f"SOUR{output}:") if output else ("", "", "")
+    over_voltage, over_current = (
         Protection(
             name,
-            Level(f"{head}:VAL {first}{{}}", f"{head}:VAL?{last}"),
-            f"{head} {first}{{}}",
-            f"{head}?{last}",
-            f"{head}:QUES?{last}",
+            Level(f"{head}:VAL {value_prefix}{{}}", f"{head}:VAL?{query_suffix}"),
+            f"{head} {value_prefix}{{}}",
+            f"{head}?{query_suffix}",
+            f"{head}:QUES?{query_suffix}",
         )
         for name, head in ((OVER_VOLTAGE, "OUTP:OVP"), (OVER_CURRENT, "OUTP:OCP"))
     )
@@ -178,25 +187,26 @@ def _dp800(model: str, output: int) -> ScpiDialect:
     return ScpiDialect(
         Level(f"{source}VOLT {{}}", f"{source}VOLT?"),
         Level(f"{source}CURR {{}}", f"{source}CURR?"),
-        f"MEAS:VOLT?{last}",
-        f"MEAS:CURR?{last}",
-        f"OUTP {first}{{}}",
-        Query(f"OUTP?{last}", replies.parse_boolean),
+        f"MEAS:VOLT?{query_suffix}",
+        f"MEAS:CURR?{query_suffix}",
+        f"OUTP {value_prefix}{{}}",
+        Query(f"OUTP?{query_suffix}", replies.parse_boolean),
         Query(f"STAT:QUES:INST:ISUM{output}:COND?", replies.parse_regulation)
         if output
         else Query("STAT:QUES:COND?", replies.parse_register),
         Query("SYST:ERR?", replies.parse_error_entry),
-        volts,
-        amperes,
-        re.compile(r"-?\d{1,2}\.\d{3,4}", re.ASCII),  # 12.0035; three decimals stand in the guide as well
+        over_voltage,
+        over_current,
+        re.compile(r"-?\d{1,2}\.\d{3,4}", re.ASCII),  # such as 12.0035; the guide has three decimals as well
         required_answers=required_answers,
     )
 
 
 def _spd3303(_model: str, output: int) -> ScpiDialect:
-    """Two outputs with the channel in each command, and a status word for both; a wrong header is never answered.
+    """Return the commands of a Siglent SPD3303X, which has two outputs that share a status word.
 
-    Spelt in full, as the guide has it: an abbreviation that the instrument does not know costs a time-out.
+    The headers are spelt in full, as in the guide: the instrument never answers a header that it does not know, so that
+    an unknown abbreviation would cost a time-out.
     """
     status = "SYSTem:STATus?"
     return ScpiDialect(
@@ -210,7 +220,7 @@ def _spd3303(_model: str, output: int) -> ScpiDialect:
         Query("SYSTem:ERRor?", replies.parse_loose_error_entry),
         None,
         None,
-        re.compile(r"\d{1,2}\.\d{2,3}", re.ASCII),  # two decimals of an SPD3303X-E
+        re.compile(r"\d{1,2}\.\d{2,3}", re.ASCII),  # an SPD3303X-E sends two decimals
         remote="",
         local="",
         required_answers=(

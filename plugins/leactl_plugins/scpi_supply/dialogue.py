@@ -25,11 +25,11 @@ from leactl_plugins.scpi_supply.dialects import (
 from leactl_plugins.scpi_supply.replies import ErrorEntry, InstrumentIdentity
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
 
-MOST_ERRORS = 32  # entries read from the error queue; the queue of an E36xx holds 20
+MOST_ERROR_ENTRIES = 32  # read from the error queue before it is given up; the queue of an E36xx holds 20
 # by value of the condition register, which is the same in all families
 MODES = {1: "constant current", 2: "constant voltage"}
 SETTINGS_CHECK_INTERVAL_S = 1.0  # time between two readings of the settings, which a person may change at the panel
-DRAIN_PAUSES = 5  # about 10 ms each, until the last command is sent: closing the line drops unsent bytes
+DRAIN_PAUSES = 5  # of about 10 ms each, for the last command to be sent: closing the line drops unsent bytes
 IDENTIFY = Query("*IDN?", replies.parse_identity, patient=True)
 
 
@@ -55,18 +55,18 @@ class ScpiDialogue:
         output = (settings.output or 0) if settings.model in models.OUTPUTS else 0
         self._settings, self._dialect = settings, DIALECTS[settings.dialect](settings.model, output)
         self._output = output
-        self.reported_identity: InstrumentIdentity | None = None  # of the last answer
+        self.reported_identity: InstrumentIdentity | None = None  # as last answered
         self.trips_at = settings.voltage_limit_V  # V, level to which the next `put` sets the over-voltage protection
         self._armed_at = settings.voltage_limit_V
-        self._commanded = CommandedLevels(0.0, self._dialect.least_current)
+        self._commanded = CommandedLevels(0.0, self._dialect.lowest_current)
         self._settings_read_at = 0.0  # time [s] at which the settings were read
         self._regulation = Regulation()
         self._panel_fault_text = ""  # empty unless the settings were changed at the panel
         self._earlier_protections: list[ProtectionBefore] = []  # protections before `set_up`, which `leave` restores
-        voltage_rating, current_rating = models.most(settings.model, output)
-        reading = partial(replies.parse_reading, form=self._dialect.reading)
-        self._voltage = Query(self._dialect.measure_voltage, partial(reading, rating=voltage_rating))
-        self._current = Query(self._dialect.measure_current, partial(reading, rating=current_rating))
+        voltage_rating, current_rating = models.highest_rating(settings.model, output)
+        parse_reading = partial(replies.parse_reading, form=self._dialect.reading)
+        self._voltage_query = Query(self._dialect.measure_voltage, partial(parse_reading, rating=voltage_rating))
+        self._current_query = Query(self._dialect.measure_current, partial(parse_reading, rating=current_rating))
 
     @property
     def trip_accuracy(self) -> TripAccuracy:
@@ -79,7 +79,7 @@ class ScpiDialogue:
         return self._dialect.off
 
     def synchronise(self) -> Script[InstrumentIdentity]:
-        """Query the identity and drop all replies before it, which belong to earlier queries."""
+        """Query the identity; replies before it belong to earlier queries and are dropped."""
         identity: InstrumentIdentity = yield from ask(IDENTIFY)
         return identity
 
@@ -97,13 +97,13 @@ class ScpiDialogue:
             if on:
                 off_trouble.text = "the output is still on"
                 continue
-            current = yield from ask(self._current)
+            current = yield from ask(self._current_query)
             if abs(current) <= self._settings.off_current_A:
                 return Confirmation(True, f"output off, {current:.3f} A")
             off_trouble.text = f"the instrument reports its output off, but {current:.3f} A flow"
 
     def _check_identity(self, identity: InstrumentIdentity) -> None:
-        """Raise DeviceError if another instrument answers."""
+        """Store the identity; raise DeviceError if another instrument answers."""
         settings, self.reported_identity = self._settings, identity
         if identity.model != settings.model:
             raise DeviceError(f"{identity.maker} {identity.model} answers; {settings.model} was expected")
@@ -127,9 +127,9 @@ class ScpiDialogue:
         yield from self._check_required_answers()
         if settings.output_range:
             yield dialect.set_range.format(settings.output_range.upper())
-        self._commanded = CommandedLevels(0.0, dialect.least_current)
+        self._commanded = CommandedLevels(0.0, dialect.lowest_current)
         yield from self._write_level(dialect.voltage, 0.0)
-        self._settings_read_at = yield from self._write_level(dialect.current, dialect.least_current)
+        self._settings_read_at = yield from self._write_level(dialect.current, dialect.lowest_current)
         protections = [
             (dialect.over_voltage, "voltage_limit_V", settings.voltage_limit_V),
             (dialect.over_current, "current_limit_A", settings.current_limit_A),
@@ -155,7 +155,7 @@ class ScpiDialogue:
         """Check that the output can be used without acting on other outputs; raise DeviceError if it cannot."""
         for required in self._dialect.required_answers:
             if (yield from ask(required.question)) not in required.accepted:
-                raise DeviceError(required.otherwise)
+                raise DeviceError(required.refusal)
         select = self._dialect.select
         if (
             select is not None
@@ -200,7 +200,7 @@ class ScpiDialogue:
         DeviceError : a level reads back as another value.
         """
         dialect, before = self._dialect, self._commanded
-        target = CommandedLevels(voltage, max(current, dialect.least_current))
+        target = CommandedLevels(voltage, max(current, dialect.lowest_current))
         self._settings_read_at, read_at = math.inf, 0.0  # no check of the settings while they change
         self._regulation.begin_anew()
         levels = (
@@ -224,7 +224,12 @@ class ScpiDialogue:
             self._armed_at = level
 
     def leave(self) -> Script[Sequence[str]]:
-        """Restore all protections and release the front panel; return the names of the protections."""
+        """Restore all protections and release the front panel; return the names of the protections.
+
+        Raises
+        ------
+        DeviceError : another instrument answers, or a protection reads back differently.
+        """
         names = [before.protection.name for before in self._earlier_protections]
         if self._earlier_protections:
             self._check_identity((yield from self.synchronise()))
@@ -261,8 +266,8 @@ class ScpiDialogue:
 
         Every `SETTINGS_CHECK_INTERVAL_S`, also read the levels.
         """
-        voltage = yield self._voltage
-        current = yield self._current
+        voltage = yield self._voltage_query
+        current = yield self._current_query
         assert voltage is not None and current is not None
         on = yield from ask(self._dialect.on)
         condition = yield from ask(self._dialect.condition)
@@ -300,26 +305,32 @@ class ScpiDialogue:
     def _trip_fault(self) -> Script[str]:
         """Return a text that names a tripped protection; empty if none has tripped."""
         for protection in (self._dialect.over_voltage, self._dialect.over_current):
-            if protection is not None and (yield from ask(Query(protection.tripped, replies.parse_boolean))):
+            if protection is not None and (yield from ask(Query(protection.tripped_query, replies.parse_boolean))):
                 return f"{protection.name} has tripped"
         return ""
 
     def _arm(self, protection: Protection, level: float) -> Script[None]:
-        """Set the level of a protection, arm it, and check that it is armed and has not tripped."""
+        """Set the level [V or A] of a protection, arm it, and check that it is armed and has not tripped.
+
+        Raises
+        ------
+        DeviceError : the level reads back differently, or the protection does not stay on.
+        DeviceFault : the protection has tripped.
+        """
         yield from self._write_level(protection.level, level)
         if protection.switch:
             yield protection.switch.format("ON")
         if not (yield from _is_armed(protection)):
             raise DeviceError(f"{protection.name} does not stay on")
-        if (yield from ask(Query(protection.tripped, replies.parse_boolean))):
+        if (yield from ask(Query(protection.tripped_query, replies.parse_boolean))):
             raise DeviceFault(f"{protection.name} has tripped; find out why, then clear it at the instrument")
 
     def _write_level(self, level: Level, value: float) -> Script[float]:
-        """Write a level, read it back, and return the time of the reading [s].
+        """Write a level [V or A], read it back, and return the time of the reading [s].
 
         Raises
         ------
-        DeviceError : it differs by more than rounding.
+        DeviceError : the level that is read back differs by more than `_read_back_tolerance`.
         """
         yield level.command.format(f"{value:.{self._dialect.decimals}f}")
         reply = yield Query(level.query, replies.parse_level)
@@ -329,21 +340,22 @@ class ScpiDialogue:
         return reply.seen
 
     def _read_errors(self) -> Script[tuple[ErrorEntry, ...]]:
-        """Read the error queue until it is empty."""
+        """Read the error queue until it is empty; raise DeviceError if it does not end."""
         errors: list[ErrorEntry] = []
         while (entry := (yield from ask(self._dialect.error))).number:
             errors.append(entry)
-            if len(errors) > MOST_ERRORS:
+            if len(errors) > MOST_ERROR_ENTRIES:
                 raise DeviceError(f"the error queue does not end; last error {entry.number}, {entry.text}")
         return tuple(errors)
 
 
 def _is_armed(protection: Protection) -> Script[bool]:
     """Return whether a protection is armed; a protection without a switch always is."""
-    return bool((yield from ask(Query(protection.armed, replies.parse_boolean)))) if protection.switch else True
+    return bool((yield from ask(Query(protection.armed_query, replies.parse_boolean)))) if protection.switch else True
 
 
 def _levels_text(volts: float, amperes: float) -> str:
+    """Return a voltage [V] and a current [A] as text."""
     return f"{volts:.3f} V and {amperes:.3f} A"
 
 

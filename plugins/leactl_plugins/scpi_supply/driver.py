@@ -1,4 +1,4 @@
-"""Programmable DC supply over a serial line or LAN: off at `open` and `close`, every setting is read back.
+"""Programmable DC supply over a serial line or LAN, switched off at `open` and `close`; every setting is read back.
 
 The instrument takes tens of milliseconds for an answer, and nothing waits for one within the loop.
 """
@@ -40,12 +40,12 @@ class ScpiSupply(SupplyDriver):
         self._line = SupplyLine(name, role, settings, port, self._dialogue)
 
     def identity(self) -> Identity:
-        """Maker with model, serial number and revision from `*IDN?`; the instrument reports 0 if it has none."""
+        """Return maker with model, serial number and revision from `*IDN?`; a field reported as 0 is empty."""
         return identity_of(self._dialogue.reported_identity) if self._dialogue.reported_identity else Identity()
 
     @classmethod
     def far_end(cls, settings: ScpiSupplySettings, role: str, physics: Physics) -> SerialEmulator:
-        """A supply of this dialect and model that feeds the bench."""
+        """Return an emulated supply of this dialect and model that feeds the bench."""
         from leactl_plugins.scpi_supply.emulator import ScpiSupplyEmulator
 
         load = physics.at_supply(settings.feeds, role)
@@ -76,7 +76,9 @@ class ScpiSupply(SupplyDriver):
         ------
         InputError : not above zero, or above `voltage_limit_V`; nothing is passed on.
         """
-        most = self.settings.voltage_limit_V
-        if not 0.0 < level <= most:
-            raise InputError(f"{self.name}: a protection at {level:g} V; above 0 and at most {most:g} V was expected")
+        highest_level = self.settings.voltage_limit_V
+        if not 0.0 < level <= highest_level:
+            raise InputError(
+                f"{self.name}: a protection at {level:g} V; above 0 and at most {highest_level:g} V was expected"
+            )
         self._dialogue.trips_at = level

@@ -2,7 +2,7 @@
 
 from leactl.driver.far_end import SupplyLoad
 
-PROTECTION_OVER_RATING = 1.1  # level of a protection at first, over the rating
+INITIAL_PROTECTION_OVER_RATING = 1.1  # initial level of a protection, over the highest rating
 
 
 class NothingConnected:
@@ -14,7 +14,7 @@ class NothingConnected:
 
 
 class ProtectionState:
-    """A protection: level, switch, whether it has tripped."""
+    """State of a protection: its level [V or A], whether it is armed, and whether it has tripped."""
 
     def __init__(self, level: float) -> None:
         self.level, self.armed, self.tripped = level, True, False
@@ -26,15 +26,15 @@ class EmulatedOutput:
     def __init__(self, number: int, ratings: tuple[tuple[float, float], ...], load: SupplyLoad) -> None:
         self.number, self.ratings, self._load = number, ratings, load
         self.range = 0
-        volts, amperes = max(v for v, _ in ratings), max(a for _, a in ratings)
+        highest_voltage, highest_current = max(v for v, _ in ratings), max(a for _, a in ratings)
         self.set_volts, self.set_amperes = 0.0, self.rating[1]
         self.on = False
-        self.volts = self.amperes = 0.0  # at the terminals
-        self.over_voltage = ProtectionState(PROTECTION_OVER_RATING * volts)
-        self.over_current = ProtectionState(PROTECTION_OVER_RATING * amperes)
-        self.trips_in_regulation = False  # the over-current protection has no level of its own
-        self.stuck = False
-        self.share = 1.0
+        self.volts = self.amperes = 0.0  # V and A at the terminals
+        self.over_voltage = ProtectionState(INITIAL_PROTECTION_OVER_RATING * highest_voltage)
+        self.over_current = ProtectionState(INITIAL_PROTECTION_OVER_RATING * highest_current)
+        self.trips_in_regulation = False  # whether the over-current protection trips once the current is regulated
+        self.stuck = False  # whether the output stays on in spite of its switch
+        self.share = 1.0  # of the set levels that is put out
         self.regulate()
 
     @property
@@ -49,20 +49,20 @@ class EmulatedOutput:
 
     @property
     def condition(self) -> int:
-        """1 if the current is regulated, 2 if the voltage is, 0 if neither is."""
+        """Condition register: 1 if the current is regulated, 2 if the voltage is, 0 if neither is."""
         if not self.on or self.share != 1.0 or self.tripped:
             return 0
         return 1 if self.volts < self.set_volts - 1e-6 else 2
 
     def regulate(self) -> None:
-        """Set the terminals to the levels; a protection whose level is exceeded trips."""
-        live = self.stuck or (self.on and not self.tripped)
-        asked = (self.set_volts * self.share, self.set_amperes * self.share) if live else (0.0, 0.0)
-        self.volts, self.amperes = self._load.feed(*asked)
-        passed = self.volts > self.over_voltage.level, self.amperes > self.over_current.level
+        """Regulate the terminals to the levels; an armed protection whose level is exceeded trips."""
+        is_live = self.stuck or (self.on and not self.tripped)
+        demanded = (self.set_volts * self.share, self.set_amperes * self.share) if is_live else (0.0, 0.0)
+        self.volts, self.amperes = self._load.feed(*demanded)
+        exceeded = self.volts > self.over_voltage.level, self.amperes > self.over_current.level
         if self.trips_in_regulation:
-            passed = passed[0], self.condition == 1
-        for protection, beyond in zip((self.over_voltage, self.over_current), passed, strict=True):
-            if protection.armed and beyond and not protection.tripped:
+            exceeded = exceeded[0], self.condition == 1
+        for protection, is_exceeded in zip((self.over_voltage, self.over_current), exceeded, strict=True):
+            if protection.armed and is_exceeded and not protection.tripped:
                 protection.tripped = True
                 self.regulate()

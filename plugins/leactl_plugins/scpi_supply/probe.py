@@ -9,25 +9,28 @@ from leactl_plugins.scpi_supply.replies import InstrumentIdentity
 
 
 class ScpiProbe(LineProbe):
-    """Asks for maker, model, serial number and revision."""
+    """Probe that asks for maker, model, serial number and revision."""
 
     baudrates = (9600, 19200, 38400, 57600, 115200)
 
     def ask(self, port: SerialPort) -> Seen:
         """Ask for the identity."""
-        who: InstrumentIdentity | None = self.answer(port, IDENTIFY)
-        if who is None:
+        reported: InstrumentIdentity | None = self.answer(port, IDENTIFY)
+        if reported is None:
             return
-        identity, dialect = identity_of(who), dialect_of(who.model)
+        identity, dialect = identity_of(reported), dialect_of(reported.model)
         if dialect is None:
             yield Sighting(None, identity, None, f"no supply of this driver ({', '.join((*RANGES, *OUTPUTS))})")
             return
-        number = {"serial_number": identity.serial} if identity.serial else {}
-        several = ("output",) if who.model in OUTPUTS else ()  # which of them feeds the motor, no instrument can know
-        yield Sighting(None, identity, {"dialect": dialect, "model": who.model, **number}, left_open=several)
+        serial_number = {"serial_number": identity.serial} if identity.serial else {}
+        # no instrument knows which of its outputs feeds the motor
+        unknown_settings = ("output",) if reported.model in OUTPUTS else ()
+        yield Sighting(
+            None, identity, {"dialect": dialect, "model": reported.model, **serial_number}, left_open=unknown_settings
+        )
 
 
 def identity_of(reported: InstrumentIdentity) -> Identity:
-    """Maker with model, serial number and revision; the instrument reports 0 if it has none."""
+    """Return maker with model, serial number and revision; a field that the instrument reports as 0 is empty."""
     serial, revision = (text if text.strip("0") else "" for text in (reported.serial_number, reported.revision))
     return Identity(f"{reported.maker} {reported.model}", serial, revision)

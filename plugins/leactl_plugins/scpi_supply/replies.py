@@ -9,9 +9,10 @@ NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?")
 ERROR = re.compile(r'([+-]?\d{1,5}),\s*"(.*)"')
 LOOSE_ERROR = re.compile(r"([+-]?\d{1,5})\s*[, ]\s*(.*)")
 STATUS = re.compile(r"0[xX]([0-9a-fA-F]{1,4})")
-CONNECTIONS = {1: "independent", 2: "parallel", 3: "series"}  # bits 2 and 3 of an SPD3303X's status
+OUTPUT_CONNECTIONS = {1: "independent", 2: "parallel", 3: "series"}  # by bits 2 and 3 of an SPD3303X's status
 LARGEST_VALUE = 1e4  # V or A; SCPI-1999 volume 1, 7.2.1.4 and 7.2.1.5: 9.9E37 is infinity, 9.91E37 not a number
-MOST_OVER_RATING = 1.2  # largest reading over the rating, even with the protections at their highest level
+# highest credible reading over the rating, even with the protections at their highest level
+HIGHEST_READING_OVER_RATING = 1.2
 TRUE, FALSE = ("1", "ON", "YES"), ("0", "OFF", "NO")
 
 
@@ -32,11 +33,11 @@ class ErrorEntry(NamedTuple):
 
 
 def parse_level(line: bytes) -> float:
-    """Parse a set level.
+    """Parse a set level [V or A].
 
     Raises
     ------
-    Unreadable : not a number, or one that no supply puts out.
+    Unreadable : not a number, or above `LARGEST_VALUE`.
     """
     text = _text(line)
     if not NUMBER.fullmatch(text) or not abs(float(text)) <= LARGEST_VALUE:
@@ -45,7 +46,7 @@ def parse_level(line: bytes) -> float:
 
 
 def parse_reading(line: bytes, form: re.Pattern[str], rating: float) -> float:
-    """Parse a measured voltage or current strictly, because a part of a reply may be a number as well.
+    """Parse a measured voltage or current [V or A] strictly, because a part of a reply may be a number as well.
 
     Raises
     ------
@@ -55,7 +56,7 @@ def parse_reading(line: bytes, form: re.Pattern[str], rating: float) -> float:
     if not form.fullmatch(text):
         raise Unreadable(f"{text!r} where a reading was expected")
     value = float(text)
-    if not abs(value) <= min(MOST_OVER_RATING * rating, LARGEST_VALUE):
+    if not abs(value) <= min(HIGHEST_READING_OVER_RATING * rating, LARGEST_VALUE):
         raise Unreadable(f"{value:g} where no more than {rating:g} can be")
     return value
 
@@ -65,7 +66,7 @@ def parse_boolean(line: bytes) -> bool:
 
     Raises
     ------
-    Unreadable : neither.
+    Unreadable : the reply is none of the words for true and false.
     """
     text = _text(line).upper()
     if text not in TRUE + FALSE:
@@ -87,7 +88,7 @@ def parse_register(line: bytes) -> int:
 
 
 def parse_regulation(line: bytes) -> int:
-    """Parse how an output of several regulates: the two lowest bits of its condition register, 1 current, 2 voltage.
+    """Parse how one of several outputs regulates: the two lowest bits of its condition register, 1 current, 2 voltage.
 
     Higher bits report the protections, which the driver queries by name.
 
@@ -103,7 +104,7 @@ def parse_word(line: bytes) -> str:
 
     Raises
     ------
-    Unreadable : anything else.
+    Unreadable : the reply is not one word of up to 20 letters, digits and commas.
     """
     text = _text(line).strip('"').upper()
     if not re.fullmatch(r"[A-Z0-9,]{1,20}", text):
@@ -112,7 +113,7 @@ def parse_word(line: bytes) -> str:
 
 
 def parse_status_on(line: bytes, output: int) -> bool:
-    """Parse whether output 1 or 2 is on by the status of an SPD3303X.
+    """Parse the status of an SPD3303X; return whether output 1 or 2 is on.
 
     Raises
     ------
@@ -122,7 +123,7 @@ def parse_status_on(line: bytes, output: int) -> bool:
 
 
 def parse_status_regulation(line: bytes, output: int) -> int:
-    """Parse how output 1 or 2 regulates by the status of an SPD3303X: 1 current, 2 voltage, as in other families.
+    """Parse the status of an SPD3303X; return what output 1 or 2 regulates: 1 current, 2 voltage, as in other families.
 
     Raises
     ------
@@ -132,19 +133,21 @@ def parse_status_regulation(line: bytes, output: int) -> int:
 
 
 def parse_status_outputs(line: bytes) -> str:
-    """Parse how the outputs of an SPD3303X are connected: independent, parallel or series.
+    """Parse the status of an SPD3303X; return how its outputs are connected: independent, parallel or series.
 
     Raises
     ------
     Unreadable : not a hexadecimal number, or one without a valid connection of the outputs.
     """
-    return CONNECTIONS[_status(line) >> 2 & 0b11]
+    return OUTPUT_CONNECTIONS[_status(line) >> 2 & 0b11]
 
 
 def _status(line: bytes) -> int:
+    """Parse the status word of an SPD3303X; raise Unreadable if it is not one."""
     text = _text(line)
     match = STATUS.fullmatch(text)
-    if match is None or int(match[1], 16) >> 2 & 0b11 not in CONNECTIONS:  # 0 is no connection: a digit is lost
+    # a connection of 0 does not exist: a digit was lost
+    if match is None or int(match[1], 16) >> 2 & 0b11 not in OUTPUT_CONNECTIONS:
         raise Unreadable(f"{text!r} where a hexadecimal status was expected")
     return int(match[1], 16)
 
@@ -172,7 +175,7 @@ def parse_loose_error_entry(line: bytes) -> ErrorEntry:
     """
     text = _text(line)
     match = LOOSE_ERROR.fullmatch(text)
-    if match is None or not re.search("[A-Za-z]", match[2]):  # `0 5` or `0,3.1` is another query's
+    if match is None or not re.search("[A-Za-z]", match[2]):  # `0 5` or `0,3.1` answers another query
         raise Unreadable(f"{text!r} where an error entry was expected")
     return ErrorEntry(int(match[1]), match[2].strip('"'))
 
@@ -191,6 +194,7 @@ def parse_identity(line: bytes) -> InstrumentIdentity:
 
 
 def _text(line: bytes) -> str:
+    """Return a reply as text without blanks around it; raise Unreadable if it is not printable."""
     text = line.decode("ascii", "backslashreplace").strip(" ")
     if not text.isprintable():
         raise Unreadable(f"{text!r} where text was expected")
