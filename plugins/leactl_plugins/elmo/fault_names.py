@@ -71,7 +71,7 @@ _FAULT_BITS = {
     0x400000: 0x8680,
     0x20000000: 0x5400,
 }
-_POWER_STAGE = 0xF000  # a field, of which bit 12 says that the power stage has failed
+_POWER_STAGE_MASK = 0xF000  # a field of four bits; bit 12 is set if the power stage has failed
 _POWER_STAGE_FAULTS = {0x3000: 0x3120, 0x5000: 0x3310, 0xB000: 0x2340, 0xD000: 0x4310}
 
 # Numbers of EC. Gold drives have taken over the list and given a few numbers another sense (45, 48): the number counts.
@@ -139,22 +139,22 @@ REFUSALS = {
 }
 
 
-def motor_fault(bits: int) -> str:
-    """Text for a value of MF: the number in hex, and the names of all set bits."""
-    codes = [code for bit, code in _FAULT_BITS.items() if bits & bit]
-    stage = bits & _POWER_STAGE
+def motor_fault(fault_bits: int) -> str:
+    """Return a text for a value of MF: the number in hexadecimal digits, and the names of all set bits."""
+    codes = [code for fault_bit, code in _FAULT_BITS.items() if fault_bits & fault_bit]
+    stage_fault = fault_bits & _POWER_STAGE_MASK
     names = [CODES[code] for code in codes]
-    if stage:
-        names.append(CODES[_POWER_STAGE_FAULTS[stage]] if stage in _POWER_STAGE_FAULTS else "power stage")
-    return f"MF 0x{bits:X} ({', '.join(names) or ('unnamed' if bits else 'no fault')})"
+    if stage_fault:
+        names.append(CODES[_POWER_STAGE_FAULTS[stage_fault]] if stage_fault in _POWER_STAGE_FAULTS else "power stage")
+    return f"MF 0x{fault_bits:X} ({', '.join(names) or ('unnamed' if fault_bits else 'no fault')})"
 
 
 def bits_of(code: int) -> int:
-    """Value of MF for the code of an emergency message; that of "cannot start motor" if MF has no bit for it."""
+    """Return the value of MF for an emergency code; that of "cannot start motor" if MF has no bit for the fault."""
     codes_by_bits = _POWER_STAGE_FAULTS | _FAULT_BITS
     return next((bits for bits, fault_code in codes_by_bits.items() if fault_code == code), 0x20000000)
 
 
 def refusal(number: int) -> str:
-    """Text for a number of EC: the number and its name."""
+    """Return a text for a number of EC: the number and its name."""
     return f"error {number} ({REFUSALS.get(number, 'unnamed')})"

@@ -18,21 +18,21 @@ class CurrentConvention(StrEnum):
 
 
 class CountedPosition:
-    """Encoder counts, unwrapped where the drive's own counts wrap."""
+    """Encoder counts, unwrapped where the drive's own counts wrap: from `low` to below `high`."""
 
     def __init__(self, low: int, high: int) -> None:
         self._low, self._span = low, high - low
         self._unknown = low - 2 * self._span  # outside the range; the first reading is not unwrapped
-        self.counts = self._unknown
+        self.counts = self._unknown  # unwrapped
         self.located = False  # whether the shaft's angle was read since operation was commanded
-        self.half = (high - low) // 2
+        self.half_span = (high - low) // 2
 
     def nearest(self, counts: int) -> int:
-        """Unwrapped position, closest to the last one, for counts of the drive."""
+        """Return the unwrapped position that is closest to the last one, for counts of the drive."""
         if self.counts == self._unknown:
             return counts
-        return self.counts + (counts - self.counts + self.half) % self._span - self.half
+        return self.counts + (counts - self.counts + self.half_span) % self._span - self.half_span
 
-    def shown(self, counts: int) -> int:
-        """Wrapped counts of the drive for an unwrapped position."""
+    def wrapped(self, counts: int) -> int:
+        """Return the drive's wrapped counts for an unwrapped position."""
         return (counts - self._low) % self._span + self._low

@@ -16,7 +16,7 @@ SIZES = {"u8": 1, "i8": 1, "u16": 2, "i16": 2, "u32": 4, "i32": 4}
 
 
 class Abort(Exception):
-    """An SDO transfer that the drive refuses."""
+    """Refusal of an SDO transfer by the drive."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"0x{code:08X}")
@@ -24,18 +24,18 @@ class Abort(Exception):
 
 
 class ObjectEntry(NamedTuple):
-    """One object: integer type, whether it is writable, whether it can be mapped to a PDO, default and range."""
+    """One object: integer type, access, whether it can be mapped to a PDO, default and range."""
 
-    kind: str
+    kind: str  # integer type, a key of `SIZES`
     writable: bool = False
     mappable: bool = False
     default: int = 0
-    low: int | None = None
+    low: int | None = None  # lowest value that can be written; None: that of the type
     high: int | None = None
 
 
 def gold(node: int) -> dict[tuple[int, int], ObjectEntry]:
-    """Objects of a Gold drive by index and subindex; mapping counts and defaults that the EDS lacks are added."""
+    """Return the objects of a Gold drive by index and subindex, with the PDO mappings that its EDS leaves out."""
     objects = {
         (0x1000, 0): ObjectEntry("u32", default=0x00020192),
         (0x1001, 0): ObjectEntry("u8"),
@@ -87,14 +87,18 @@ def gold(node: int) -> dict[tuple[int, int], ObjectEntry]:
         (0x2086, 0): ObjectEntry("u32"),
         (0x22A2, 0): ObjectEntry("u16", mappable=True, default=35),
     }
-    defaults = {0x1400: 0x60400010, 0x1800: 0x60410010}
+    default_mappings = {0x1400: 0x60400010, 0x1800: 0x60410010}
     for number in range(4):
-        for communication, mapping, base in ((0x1400, 0x1600, 0x200), (0x1800, 0x1A00, 0x180)):
-            entry = defaults.get(communication + number, 0)
-            objects[communication + number, 1] = ObjectEntry("u32", writable=True, default=base + 0x100 * number + node)
+        for communication, mapping, first_identifier in ((0x1400, 0x1600, 0x200), (0x1800, 0x1A00, 0x180)):
+            default_mapping = default_mappings.get(communication + number, 0)
+            objects[communication + number, 1] = ObjectEntry(
+                "u32", writable=True, default=first_identifier + 0x100 * number + node
+            )
             objects[communication + number, 2] = ObjectEntry("u8", writable=True, default=255)
             objects[communication + number, 3] = ObjectEntry("u16", writable=True)
-            objects[mapping + number, 0] = ObjectEntry("u8", writable=True, default=1 if entry else 0, high=8)
+            objects[mapping + number, 0] = ObjectEntry("u8", writable=True, default=1 if default_mapping else 0, high=8)
             for slot in range(1, 9):
-                objects[mapping + number, slot] = ObjectEntry("u32", writable=True, default=entry if slot == 1 else 0)
+                objects[mapping + number, slot] = ObjectEntry(
+                    "u32", writable=True, default=default_mapping if slot == 1 else 0
+                )
     return objects

@@ -9,12 +9,12 @@ LENGTH = 8
 
 
 def code_of(data: bytes | bytearray) -> int:
-    """Error code of an emergency frame of full length."""
+    """Return the error code of an emergency frame of full length."""
     return int(struct.unpack_from("<H", data)[0])
 
 
 def describe(data: bytes | bytearray) -> str:
-    """One line for an emergency frame: code, its name, error register and the maker's own code; or its wrong length."""
+    """Return a line with an emergency's code, its name, error register and the maker's code; or its wrong length."""
     if len(data) != LENGTH:
         return f"emergency of unknown code: {len(data)} bytes ({bytes(data).hex() or 'none'}), {LENGTH} were expected"
     code = code_of(data)

@@ -25,25 +25,36 @@ from leactl_plugins.elmo_can.dictionary import (
 )
 
 PRE_OPERATIONAL, OPERATIONAL, STOPPED = 0x7F, 0x05, 0x04
-_FOLLOW = {4: "current", 8: "angle", 9: "velocity", 10: "current"}
-_WORD = {"disabled": 0x0240, "ready": 0x0231, "on": 0x0233, "enabled": 0x0637, "quick": 0x0617, "fault": 0x0218}
+_FOLLOWED_QUANTITIES = {4: "current", 8: "angle", 9: "velocity", 10: "current"}
+_STATUSWORDS = {"disabled": 0x0240, "ready": 0x0231, "on": 0x0233, "enabled": 0x0637, "quick": 0x0617, "fault": 0x0218}
 _INTERNAL_LIMIT = 0x0800
 _POSITION_TURNED, _VELOCITY_TURNED = 0x80, 0x40  # bits of 0x607E (CiA 402, polarity)
-# objects whose values no measurement changes
-_COMMUNICATION = {0x1005, 0x1006, *range(0x1400, 0x1404), *range(0x1800, 0x1804)}
-_SETTINGS = _COMMUNICATION | {0x607B, 0x607E, 0x608F, 0x6091, 0x6092, 0x60B0, 0x60B1, 0x60B2, 0x60C2, 0x6502}
+# objects that are read without sampling the machine
+_COMMUNICATION_OBJECTS = {0x1005, 0x1006, *range(0x1400, 0x1404), *range(0x1800, 0x1804)}
+_UNMEASURED_OBJECTS = _COMMUNICATION_OBJECTS | {
+    0x607B,
+    0x607E,
+    0x608F,
+    0x6091,
+    0x6092,
+    0x60B0,
+    0x60B1,
+    0x60B2,
+    0x60C2,
+    0x6502,
+}
 _ON_CHANGE_TYPE = 254  # lowest transmission type of a TPDO that is sent on a change
 _ABORT_BAD_COMMAND = 0x05040001
-_FOREIGN_COB_MASK = 0x7FF
+_COB_IDENTIFIER_MASK = 0x7FF
 _CONTROLWORD = (0x6040, 0)
-_CODES = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "i32": "i"}
+_STRUCT_CODES = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "i32": "i"}
 
 
 class _Pdo(NamedTuple):
-    """A PDO with its present mapping."""
+    """A PDO with its present mapping and transmission type."""
 
     identifier: int
-    kind: int
+    kind: int  # transmission type
     objects: list[tuple[int, int]]
     layout: struct.Struct
 
@@ -67,10 +78,10 @@ class ElmoEmulator:
         self._q_per_mille = rated_current_ma * 1e-6 * q_axis_per_ampere
         self._counts_per_rad = counts_per_turn / (2 * math.pi)
         self._entries: dict[tuple[int, int], ObjectEntry] = gold(node)
-        self._voltage = voltage_object
+        self._voltage_object = voltage_object
         if voltage_object is not None:
             self._entries[voltage_object[0], voltage_object[1]] = ObjectEntry(voltage_object[2], mappable=True)
-        self._clock, self._syncs = clock_object, 0
+        self._clock_object, self._syncs = clock_object, 0
         if clock_object is not None:
             self._entries[clock_object] = ObjectEntry("u32", mappable=True)
         self._values = {key: entry.default for key, entry in self._entries.items()}
@@ -78,16 +89,16 @@ class ElmoEmulator:
         self.nmt = PRE_OPERATIONAL
         self.state = "disabled"
         self._limiting = False  # whether it limits the demanded current
-        self.frozen = False  # a drive that has stopped answering
-        self._pending: dict[int, bytes] = {}
-        self._text: bytes | None = None  # rest of a text that is not sent yet
-        self._receive: list[_Pdo] = []
-        self._transmit: list[_Pdo] = []
+        self.frozen = False  # whether it has stopped answering
+        self._pending_demands: dict[int, bytes] = {}
+        self._text: bytes | None = None  # part of a text that is not sent yet
+        self._receive_pdos: list[_Pdo] = []
+        self._transmit_pdos: list[_Pdo] = []
         self._next_heartbeat = math.inf
         self._host_deadline = math.inf
         self._booted = False
         self._emergencies: list[Frame] = []
-        self._changed = False  # whether a TPDO sent on change still has to report the state
+        self._is_change_unreported = False  # whether a TPDO that is sent on change still has to report the state
         self._plan_pdos()
 
     @property
@@ -95,35 +106,35 @@ class ElmoEmulator:
         """Time [s] of the next heartbeat or of the host's timeout; -inf if frames are waiting."""
         if self.frozen:
             return math.inf
-        if not self._booted or self._emergencies or self._changed:
+        if not self._booted or self._emergencies or self._is_change_unreported:
             return -math.inf
         return min(self._next_heartbeat, self._host_deadline)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Receive one frame from the bus; returns the answers."""
+        """Receive one frame from the bus; return the answers."""
         if self.frozen:
             return []
         if not self._booted:
             return [*self.tick(now), *self.receive(frame, now)]  # no answer before it has booted
         answers = self._answer(frame, now)
-        return answers + self._report_changes() if self._changed else answers
+        return answers + self._report_changes() if self._is_change_unreported else answers
 
     def _answer(self, frame: Frame, now: float) -> list[Frame]:
         identifier, data = frame
         if identifier == 0x080 and self.nmt == OPERATIONAL:
             return self._sync(now)
         if identifier == 0x000 and len(data) == 2 and data[1] in (0, self.node):
-            return self._network(data[0], now)
+            return self._obey_network_command(data[0], now)
         if identifier == 0x600 + self.node and self.nmt != STOPPED and len(data) == 8:
-            return [Frame(0x580 + self.node, self._serve(data, now)), *self._flush()]
+            return [Frame(0x580 + self.node, self._serve(data, now)), *self._take_emergencies()]
         if self.nmt == OPERATIONAL and (identifier & 0x7F) == self.node and 0x200 <= identifier < 0x580:
             return self._demand(identifier, data)
         if 0x700 <= identifier < 0x780:
-            self._hear(identifier - 0x700, now)
+            self._hear_heartbeat(identifier - 0x700, now)
         return []
 
     def tick(self, now: float) -> list[Frame]:
-        """Boot-up, heartbeats, and the reaction to a missing heartbeat of the host."""
+        """Boot, send the heartbeat that is due, and react to a missing heartbeat of the host; return the frames."""
         frames = [] if self._booted else [Frame(0x700 + self.node, b"\x00")]
         self._booted = True
         if now >= self._host_deadline:
@@ -133,7 +144,7 @@ class ElmoEmulator:
             frames.append(Frame(0x700 + self.node, bytes((self.nmt,))))
             period = self._values[0x1017, 0] * 1e-3
             self._next_heartbeat = max(self._next_heartbeat + period, now)
-        return frames + self._flush() + self._report_changes()
+        return frames + self._take_emergencies() + self._report_changes()
 
     def is_sign_of_life(self, frame: Frame) -> bool:
         """Return whether a frame is a heartbeat (CiA 301: function code 1110b)."""
@@ -153,11 +164,13 @@ class ElmoEmulator:
 
     # -- network -----------------------------------------------------------------------------------------------------
 
-    def _flush(self) -> list[Frame]:
+    def _take_emergencies(self) -> list[Frame]:
+        """Return the emergency messages that are not sent yet."""
         frames, self._emergencies = self._emergencies, []
         return frames
 
-    def _network(self, command: int, now: float) -> list[Frame]:
+    def _obey_network_command(self, command: int, now: float) -> list[Frame]:
+        """Obey a command of network management (CiA 301, 7.2.8); return the frames of a reboot."""
         if command == 0x01:
             self.nmt = OPERATIONAL
         elif command == 0x02:
@@ -170,14 +183,15 @@ class ElmoEmulator:
             return self.tick(now)
         return []
 
-    def _hear(self, node: int, now: float) -> None:
+    def _hear_heartbeat(self, node: int, now: float) -> None:
         """Restart the timeout of the host; monitoring starts at its first heartbeat (301IG, chapter 14)."""
         for sub in (1, 2):
-            value = self._values[0x1016, sub]
-            if value >> 16 & 0x7F == node and value & 0xFFFF:
-                self._host_deadline = now + (value & 0xFFFF) * 1e-3
+            consumer_entry = self._values[0x1016, sub]
+            if consumer_entry >> 16 & 0x7F == node and consumer_entry & 0xFFFF:
+                self._host_deadline = now + (consumer_entry & 0xFFFF) * 1e-3
 
     def _lose_host(self) -> None:
+        """React by the abort option (0x6007) to the missing heartbeat of the host."""
         option = self._values[0x6007, 0]
         if option == 1:
             self.fault(0x8130, register=0x11)
@@ -189,6 +203,7 @@ class ElmoEmulator:
     # -- SDO ---------------------------------------------------------------------------------------------------------
 
     def _serve(self, data: bytes, now: float) -> bytes:
+        """Return the answer to an SDO request."""
         command, index, sub = struct.unpack_from("<BHB", data)
         try:
             if command & 0xEF == 0x60 and self._text is not None:
@@ -208,10 +223,10 @@ class ElmoEmulator:
             return struct.pack("<BHBI", 0x80, index, sub, abort.code)
 
     def _text_segment(self, toggle: int) -> bytes:
-        """The next seven bytes of a text, and whether they are the last (CiA 301, 7.2.4.3.6)."""
+        """Return the frame with the next seven bytes of a text, and whether they are the last (CiA 301, 7.2.4.3.6)."""
         assert self._text is not None
-        part, self._text = self._text[:7], self._text[7:] or None
-        return bytes([toggle | (7 - len(part)) << 1 | (self._text is None)]) + part.ljust(7, b"\0")
+        segment, self._text = self._text[:7], self._text[7:] or None
+        return bytes([toggle | (7 - len(segment)) << 1 | (self._text is None)]) + segment.ljust(7, b"\0")
 
     @property
     def serial_number(self) -> str:
@@ -220,10 +235,11 @@ class ElmoEmulator:
 
     @serial_number.setter
     def serial_number(self, text: str) -> None:
-        if text.isdecimal() and int(text) <= 0xFFFFFFFF:  # the object holds no other
+        if text.isdecimal() and int(text) <= 0xFFFFFFFF:  # the object cannot hold another text
             self._values[0x1018, 4] = int(text)
 
     def _entry(self, index: int, sub: int) -> ObjectEntry:
+        """Return an object; raise Abort if there is none."""
         entry = self._entries.get((index, sub))
         if entry is None:
             has_index = any(key[0] == index for key in self._entries)
@@ -233,7 +249,7 @@ class ElmoEmulator:
     def _upload(self, index: int, sub: int) -> bytes:
         kind = self._entry(index, sub).kind
         size = SIZES[kind]
-        if index not in _SETTINGS:
+        if index not in _UNMEASURED_OBJECTS:
             self._sample()
         raw = self._values[index, sub].to_bytes(size, "little", signed=kind[0] == "i")
         return struct.pack("<BHB", 0x43 | (4 - size) << 2, index, sub) + raw.ljust(4, b"\0")
@@ -260,10 +276,11 @@ class ElmoEmulator:
             self._plan_pdos()
 
     def _check_special(self, index: int, sub: int, value: int) -> None:
+        """Raise Abort if a PDO's identifier or mapping, or a heartbeat consumer, cannot take a value."""
         if 0x1400 <= index <= 0x1403 or 0x1800 <= index <= 0x1803:
             base = 0x200 if index < 0x1800 else 0x180
             identifier = base + 0x100 * (index & 3) + self.node
-            if sub == 1 and value & _FOREIGN_COB_MASK != identifier:
+            if sub == 1 and value & _COB_IDENTIFIER_MASK != identifier:
                 raise Abort(ABORT_RANGE)
         elif 0x1600 <= index <= 0x1603 or 0x1A00 <= index <= 0x1A03:
             communication = index - 0x200
@@ -282,18 +299,20 @@ class ElmoEmulator:
                 raise Abort(ABORT_INCOMPATIBLE)
 
     def _is_mappable(self, entry: int) -> bool:
-        target = self._entries.get((entry >> 16, entry >> 8 & 0xFF))
-        return target is not None and target.mappable and SIZES[target.kind] * 8 == entry & 0xFF
+        mapped_object = self._entries.get((entry >> 16, entry >> 8 & 0xFF))
+        return mapped_object is not None and mapped_object.mappable and SIZES[mapped_object.kind] * 8 == entry & 0xFF
 
     # -- PDO ---------------------------------------------------------------------------------------------------------
 
     def _plan_pdos(self) -> None:
-        self._receive = self._plan(0x1400, 0x1600)
-        self._transmit = self._plan(0x1800, 0x1A00)
-        self._pending.clear()
+        """Read the mappings of all PDOs, and drop demands that wait for a SYNC."""
+        self._receive_pdos = self._mapped_pdos(0x1400, 0x1600)
+        self._transmit_pdos = self._mapped_pdos(0x1800, 0x1A00)
+        self._pending_demands.clear()
 
-    def _plan(self, communication: int, mapping: int) -> list[_Pdo]:
-        plan = []
+    def _mapped_pdos(self, communication: int, mapping: int) -> list[_Pdo]:
+        """Return the valid PDOs of a direction by the first index of their communication and mapping objects."""
+        pdos = []
         for number in range(4):
             identifier = self._values[communication + number, 1]
             count = self._values[mapping + number, 0]
@@ -301,12 +320,13 @@ class ElmoEmulator:
                 continue
             entries = [self._values[mapping + number, slot] for slot in range(1, count + 1)]
             objects = [(entry >> 16, entry >> 8 & 0xFF) for entry in entries]
-            layout = struct.Struct("<" + "".join(_CODES[self._entries[key].kind] for key in objects))
-            plan.append(_Pdo(identifier & 0x7FF, self._values[communication + number, 2], objects, layout))
-        return plan
+            layout = struct.Struct("<" + "".join(_STRUCT_CODES[self._entries[key].kind] for key in objects))
+            pdos.append(_Pdo(identifier & 0x7FF, self._values[communication + number, 2], objects, layout))
+        return pdos
 
     def _demand(self, identifier: int, data: bytes) -> list[Frame]:
-        for pdo in self._receive:
+        """Receive a PDO: apply it at once, or keep it until the SYNC, by its transmission type."""
+        for pdo in self._receive_pdos:
             if pdo.identifier == identifier:
                 if len(data) < pdo.layout.size:
                     self._emergencies.append(Frame(0x080 + self.node, struct.pack("<HBB4x", 0x8210, 0x21, 0)))
@@ -314,8 +334,8 @@ class ElmoEmulator:
                     self._apply(pdo, data)
                     self._follow()
                 else:
-                    self._pending[identifier] = data
-        return self._flush()
+                    self._pending_demands[identifier] = data
+        return self._take_emergencies()
 
     def _apply(self, pdo: _Pdo, data: bytes) -> None:
         for key, value in zip(pdo.objects, pdo.layout.unpack_from(data), strict=True):
@@ -324,26 +344,28 @@ class ElmoEmulator:
                 self._control(previous, value)
 
     def _sync(self, now: float) -> list[Frame]:
-        if self._pending:
-            for pdo in self._receive:
-                data = self._pending.pop(pdo.identifier, None)
+        """Apply the demands that wait for the SYNC, sample, and return the PDOs that answer it."""
+        if self._pending_demands:
+            for pdo in self._receive_pdos:
+                data = self._pending_demands.pop(pdo.identifier, None)
                 if data is not None:
                     self._apply(pdo, data)
             self._follow()
         self._sample()
         values = self._values
-        if self._clock is not None:
-            values[self._clock] = round(now * 1e6) & 0xFFFFFFFF
+        if self._clock_object is not None:
+            values[self._clock_object] = round(now * 1e6) & 0xFFFFFFFF
         self._syncs += 1
         frames = []
-        for identifier, kind, objects, layout in self._transmit:
+        for identifier, kind, objects, layout in self._transmit_pdos:
             if kind <= 1 or (kind <= 240 and self._syncs % kind == 0):
                 frames.append(Frame(identifier, layout.pack(*[values[key] for key in objects])))
-        return frames + self._flush() if self._emergencies else frames
+        return frames + self._take_emergencies() if self._emergencies else frames
 
     # -- machine -----------------------------------------------------------------------------------------------------
 
     def _sample(self) -> None:
+        """Store what the machine and the state machine show now in their objects."""
         current, velocity, angle = self._machine.read()
         values = self._values
         per_mille = max(-0x8000, min(0x7FFF, round(current / self._q_per_mille)))
@@ -359,48 +381,48 @@ class ElmoEmulator:
         values[0x6041, 0] = self._statusword
         values[0x6061, 0] = self._shown_mode
         values[0x6079, 0] = max(0, round(self._machine.bus_voltage * 1e3))
-        if self._voltage is not None:
-            index, sub, kind, scale = self._voltage
+        if self._voltage_object is not None:
+            index, sub, kind, scale = self._voltage_object
             limit = (1 << 8 * SIZES[kind] - 1) - 1
             values[index, sub] = max(-limit - 1, min(limit, round(self._machine.voltage / scale)))
 
     @property
     def _statusword(self) -> int:
-        return _WORD[self.state] | (_INTERNAL_LIMIT if self._limiting else 0)
+        return _STATUSWORDS[self.state] | (_INTERNAL_LIMIT if self._limiting else 0)
 
     @property
     def _shown_mode(self) -> int:
         return self._values[0x6060, 0]
 
     def _report_changes(self) -> list[Frame]:
-        """TPDOs that are sent on a change instead of at a SYNC (types 254 and 255)."""
-        changed, self._changed = self._changed, False
-        if not changed or self.nmt != OPERATIONAL:
+        """Return the TPDOs that are sent on a change instead of at a SYNC (types 254 and 255)."""
+        is_changed, self._is_change_unreported = self._is_change_unreported, False
+        if not is_changed or self.nmt != OPERATIONAL:
             return []
         self._values[0x6041, 0] = self._statusword
         return [
             Frame(identifier, layout.pack(*[self._values[key] for key in objects]))
-            for identifier, kind, objects, layout in self._transmit
+            for identifier, kind, objects, layout in self._transmit_pdos
             if kind >= _ON_CHANGE_TYPE
         ]
 
-    def _control(self, previous: int, word: int) -> None:
+    def _control(self, previous: int, controlword: int) -> None:
         """One transition of the state machine (402IG, controlword decode); an illegal word changes nothing."""
         state = self.state
         if state == "fault":
-            if word & 0x80 and not previous & 0x80:
+            if controlword & 0x80 and not previous & 0x80:
                 self._values[0x603F, 0] = self._values[0x1001, 0] = 0
                 self._go("disabled")
                 self._emergencies.append(Frame(0x080 + self.node, bytes(8)))
             return
-        if not word & 0x02:
+        if not controlword & 0x02:
             self._go("disabled")
-        elif not word & 0x04:
+        elif not controlword & 0x04:
             self._go("quick" if state == "enabled" else "disabled")
-        elif not word & 0x01:
+        elif not controlword & 0x01:
             if state != "quick":
                 self._go("ready")
-        elif not word & 0x08:
+        elif not controlword & 0x08:
             self._go({"ready": "on", "enabled": "on"}.get(state, state))
         elif state in ("on", "quick"):
             self._go("enabled")
@@ -409,25 +431,27 @@ class ElmoEmulator:
         self._follow()
 
     def _go(self, state: str) -> None:
-        self._changed = self._changed or state != self.state
+        """Change to a state; only an enabled drive moves the motor."""
+        self._is_change_unreported = self._is_change_unreported or state != self.state
         self.state = state
         self._limiting = False
         if state != "enabled":
             self._machine.command("off", 0.0)
 
     def _follow(self) -> None:
+        """Let the motor follow the demand of the mode if operation is enabled."""
         if self.state != "enabled":
             return
         values = self._values
-        mode = _FOLLOW.get(self._shown_mode)
-        offset = {"current": 0x60B2, "velocity": 0x60B1, "angle": 0x60B0}.get(mode or "")
-        added = values.get((offset, 0), 0) if offset else 0  # by any master (CiA 402, 6.3.2 and 6.4)
+        mode = _FOLLOWED_QUANTITIES.get(self._shown_mode)
+        offset_index = {"current": 0x60B2, "velocity": 0x60B1, "angle": 0x60B0}.get(mode or "")
+        offset = values.get((offset_index, 0), 0) if offset_index else 0  # set by any master (CiA 402, 6.3.2 and 6.4)
         if mode is None:
             self._machine.command("off", 0.0)
         elif mode == "current":
-            asked, most = values[0x6071, 0] + added, min(values[0x6072, 0], values[0x6073, 0])
-            self._limiting = abs(asked) > most
-            self._machine.command("current", max(-most, min(most, asked)) * self._q_per_mille)
+            demanded, highest = values[0x6071, 0] + offset, min(values[0x6072, 0], values[0x6073, 0])
+            self._limiting = abs(demanded) > highest
+            self._machine.command("current", max(-highest, min(highest, demanded)) * self._q_per_mille)
         else:
             target = values[0x607A, 0] if mode == "angle" else values[0x60FF, 0]
-            self._machine.command(mode, (target + added) / self._counts_per_rad)
+            self._machine.command(mode, (target + offset) / self._counts_per_rad)

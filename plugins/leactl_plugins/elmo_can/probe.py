@@ -13,26 +13,26 @@ from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import NODES, ElmoSettings, identifiers_of
 
 REQUEST, ANSWER, HEARTBEAT = 0x600, 0x580, 0x700  # identifiers, each plus the node
-NETWORK_STATES = (0x00, 0x04, 0x05, 0x7F)
+HEARTBEAT_STATES = (0x00, 0x04, 0x05, 0x7F)
 READ_DEVICE_TYPE = bytes.fromhex("4000100000000000")  # 0x1000:0, which every node has
 UPLOADED, ABORTED = 0x43, 0x80
-REQUEST_COMMANDS = (0x40, 0x21, 0x22, 0x23, 0x27, 0x2B, 0x2F)  # first bytes of a client's request
-FIRST_OBJECT = 0x1000
+REQUEST_COMMANDS = (0x40, 0x21, 0x22, 0x23, 0x27, 0x2B, 0x2F)  # first byte of a client's request
+FIRST_OBJECT = 0x1000  # lowest index of an object (CiA 301)
 REQUEST_PERIOD_S = 0.003  # time from one node to the next; request and answer take 2.2 ms at 125 kbit/s
-ANSWER_S = 0.5
-MOST_ANSWERS = 3  # kept of each node
-MOST_SHOWN_BYTES = 8  # of an answer in a line
+ANSWER_TIMEOUT_S = 0.5  # of an SDO, and of all answers after the last request
+MOST_KEPT_ANSWERS = 3  # frames of each node
+MOST_SHOWN_BYTES = 8  # of a frame in a message
 
 
 class ElmoProbe(CanProbe):
-    """Uploads the device type from every node, then the identity from those that answer."""
+    """Probe that uploads the device type from every node, then the identity from those that answer."""
 
     def heard(self, frames: Sequence[Frame]) -> Collection[int]:
-        """Nodes that sent a heartbeat or a boot-up message."""
+        """Return the nodes that sent a heartbeat or a boot-up message."""
         return {
             frame.identifier - HEARTBEAT
             for frame in frames
-            if frame.identifier - HEARTBEAT in NODES and len(frame.data) == 1 and frame.data[0] in NETWORK_STATES
+            if frame.identifier - HEARTBEAT in NODES and len(frame.data) == 1 and frame.data[0] in HEARTBEAT_STATES
         }
 
     def host(self, frames: Sequence[Frame]) -> str:
@@ -49,54 +49,54 @@ class ElmoProbe(CanProbe):
         return ""
 
     def identifiers(self, address: int) -> Collection[int]:
-        """CAN identifiers that CiA 301 assigns to a node."""
+        """Return the CAN identifiers that CiA 301 assigns to a node, and those of network management and SYNC."""
         return identifiers_of(address)
 
     def ask(self, port: CanPort, addresses: Collection[int], taken: Collection[int]) -> Seen:
         """Ask every node for its device type, and those that answer for their identity."""
-        left_out = [node for node in NODES if REQUEST + node in taken]
-        if left_out:
-            yield f"the nodes {_numbers(left_out)} were not asked by SDO: another device acts on these identifiers"
-        answers = _sweep(port, [node for node in NODES if node not in left_out])
-        nodes = [node for node, frames in answers.items() if any(map(_is_answer, frames))]
+        unasked_nodes = [node for node in NODES if REQUEST + node in taken]
+        if unasked_nodes:
+            yield f"the nodes {_listed(unasked_nodes)} were not asked by SDO: another device acts on these identifiers"
+        answers = _sweep(port, [node for node in NODES if node not in unasked_nodes])
+        answering_nodes = [node for node, frames in answers.items() if any(map(_is_answer, frames))]
         settings = ElmoSettings.model_fields
         host, vendor = settings["host_node"].default, settings["vendor_id"].default
-        further: dict[str, int] = {}
-        if host in nodes:  # the node's heartbeat would be taken for the host's
-            further = {"host_node": max(set(NODES) - set(nodes))}
+        extra_settings: dict[str, int] = {}
+        if host in answering_nodes:  # the node's heartbeat would be taken for the host's
+            extra_settings = {"host_node": max(set(NODES) - set(answering_nodes))}
         for node, frames in sorted(answers.items()):
-            fitting = [data for data in frames if _is_answer(data)]
+            valid_answers = [data for data in frames if _is_answer(data)]
             for data in frames:
                 if not _is_answer(data):
-                    shown = data[:MOST_SHOWN_BYTES].hex(" ") or "no byte"
-                    yield f"node {node}: sent {shown} after an upload of 0x1000:0; garbled, or another host's"
-            if len(fitting) > 1:
+                    frame_text = data[:MOST_SHOWN_BYTES].hex(" ") or "no byte"
+                    yield f"node {node}: sent {frame_text} after an upload of 0x1000:0; garbled, or another host's"
+            if len(valid_answers) > 1:
                 yield (
-                    f"node {node}: {len(fitting)} answers to one question: two devices have this number; connect one of"
-                    " them alone and give it another"
+                    f"node {node}: {len(valid_answers)} answers to one question: two devices have this number; connect"
+                    " one of them alone and give it another"
                 )
-            elif fitting:
-                yield _identify(port, node, vendor, further)
-        for node in sorted(set(addresses) - set(answers) - set(left_out)):
+            elif valid_answers:
+                yield _identify(port, node, vendor, extra_settings)
+        for node in sorted(set(addresses) - set(answers) - set(unasked_nodes)):
             yield f"node {node}: sends heartbeats and answers no SDO: is it stopped, or another host?"
 
 
 def _sweep(port: CanPort, nodes: Sequence[int]) -> dict[int, list[bytes]]:
-    """Ask each node for its device type; returns the first answers of the nodes that sent any."""
+    """Ask each node for its device type; return the first frames of the nodes that sent any."""
     answers: dict[int, list[bytes]] = {}
 
-    def take(node: int, data: bytearray, _timestamp: float) -> None:
+    def keep_answer(node: int, data: bytearray, _timestamp: float) -> None:
         answers_of_node = answers.setdefault(node, [])
-        if len(answers_of_node) < MOST_ANSWERS:
+        if len(answers_of_node) < MOST_KEPT_ANSWERS:
             answers_of_node.append(bytes(data))
 
     for node in nodes:
-        port.listen(ANSWER + node, partial(take, node))
+        port.listen(ANSWER + node, partial(keep_answer, node))
     try:
         for node in nodes:
             port.send(REQUEST + node, READ_DEVICE_TYPE)
             port.pump_until((False,), port.clock.now() + REQUEST_PERIOD_S)
-        port.pump_until((False,), port.clock.now() + ANSWER_S)
+        port.pump_until((False,), port.clock.now() + ANSWER_TIMEOUT_S)
     finally:
         for node in nodes:
             port.listen(ANSWER + node, None)
@@ -108,8 +108,9 @@ def _is_answer(data: bytes) -> bool:
     return len(data) == 8 and data[0] in (UPLOADED, ABORTED) and data[1:4] == READ_DEVICE_TYPE[1:4]
 
 
-def _identify(port: CanPort, node: int, elmo_vendor: int, further: dict[str, int]) -> Sighting | str:
-    sdo = Sdo(port, node, ANSWER_S)
+def _identify(port: CanPort, node: int, elmo_vendor: int, extra_settings: dict[str, int]) -> Sighting | str:
+    """Read the identity of a node, and return its sighting, or a text if it does not answer."""
+    sdo = Sdo(port, node, ANSWER_TIMEOUT_S)
     port.listen(ANSWER + node, sdo.on_frame)
     try:
         vendor, product, revision = (read_optional_u32(sdo, 0x1018, sub) for sub in (1, 2, 3))
@@ -119,11 +120,12 @@ def _identify(port: CanPort, node: int, elmo_vendor: int, further: dict[str, int
     finally:
         port.listen(ANSWER + node, None)
     numbers = (("vendor", vendor), ("product", product), ("revision", revision))
-    detail = ", ".join(f"{word} 0x{value:08X}" for word, value in numbers if value is not None)
+    detail = ", ".join(f"{label} 0x{value:08X}" for label, value in numbers if value is not None)
     if vendor != elmo_vendor:
         return Sighting(node, identity, None, f"CANopen, {detail or 'no identity object'}; not Elmo's")
-    return Sighting(node, identity, {"node": node, **further}, detail)
+    return Sighting(node, identity, {"node": node, **extra_settings}, detail)
 
 
-def _numbers(nodes: Sequence[int]) -> str:
+def _listed(nodes: Sequence[int]) -> str:
+    """Return the numbers of nodes as text."""
     return ", ".join(map(str, nodes))

@@ -16,8 +16,8 @@ FRAME_BYTES = 8  # of every SDO frame (CiA 301, 7.2.4.3); `canopen` breaks over 
 # bits of command, expedited and size in the first byte, and their value if no size is stated (CiA 301, 7.2.4.3.5)
 UPLOAD_MASK, EXPEDITED_WITHOUT_SIZE = 0xE3, 0x42
 SEGMENT_ANSWERS_BELOW = 0x20  # command byte of a segment: its first three bits are 0 (CiA 301, 7.2.4.3.6)
-LONGEST_TEXT = 256  # bytes; names have some 30
-TEXT_S = 1.0  # a name of 64 bytes takes 11 exchanges, some 2 ms at 1 Mbit/s
+LONGEST_TEXT_BYTES = 256  # names have some 30
+TEXT_TIMEOUT_S = 1.0  # longest time to read a text; a name of 64 bytes takes 11 exchanges, some 2 ms at 1 Mbit/s
 FORMATS = {"u8": "<B", "i8": "<b", "u16": "<H", "i16": "<h", "u32": "<I", "i32": "<i"}
 
 
@@ -31,10 +31,12 @@ class Refused(DeviceError):
 
 
 class _PumpedQueue(queue.Queue[bytes]):
+    """Queue of answers whose wait pumps the port."""
+
     def __init__(self, port: CanPort) -> None:
         super().__init__()
         self._port = port
-        self.until = math.inf
+        self.deadline = math.inf  # time of the port's clock [s] at which every wait ends
         self._came = [False]  # whether an answer waits; in a list, because the port watches it
 
     def _put(self, item: bytes) -> None:
@@ -48,7 +50,7 @@ class _PumpedQueue(queue.Queue[bytes]):
 
     def get(self, block: bool = True, timeout: float | None = None) -> bytes:
         if block:
-            deadline = min(self._port.clock.now() + (timeout or 0.0), self.until)
+            deadline = min(self._port.clock.now() + (timeout or 0.0), self.deadline)
             self._port.pump_until(self._came, deadline)
         return super().get(block=False)
 
@@ -77,24 +79,24 @@ class Sdo:
         self._client.network = _Sender(port)
         self._answers = self._client.responses = _PumpedQueue(port)
         self._client.RESPONSE_TIMEOUT = timeout_s
-        self._asked = b""
+        self._awaited_object = b""  # index and subindex as in a frame
         self.surplus = 0  # answers received minus transfers begun; -1 while an answer is awaited
-        self._has_size = True  # whether the last answer states how many of its four bytes are valid
-        self._segments = False  # whether a text is read; the frames of its segments carry no index
+        self._answer_states_size = True  # whether the last answer states how many of its four bytes are valid
+        self._is_reading_text = False  # whether a text is read; the frames of its segments carry no index
 
-    def wait_no_longer_than(self, until: float) -> None:
+    def wait_no_longer_than(self, deadline: float) -> None:
         """End every wait for an answer at this time of the port's clock [s]; infinity removes the limit."""
-        self._answers.until = until
+        self._answers.deadline = deadline
 
     def on_frame(self, data: bytearray, timestamp: float) -> None:
-        """Pass on answers to the present transfer; those for other objects are counted only, other lengths ignored."""
+        """Pass on answers to the present transfer; count those for other objects, ignore frames of other lengths."""
         if len(data) != FRAME_BYTES:
             return
         if data[0] >= SEGMENT_ANSWERS_BELOW:
             self.surplus += 1
-        if data[1:4] == self._asked:
-            self._has_size = data[0] & UPLOAD_MASK != EXPEDITED_WITHOUT_SIZE
-        if data[1:4] == self._asked or (self._segments and data[0] < SEGMENT_ANSWERS_BELOW):
+        if data[1:4] == self._awaited_object:
+            self._answer_states_size = data[0] & UPLOAD_MASK != EXPEDITED_WITHOUT_SIZE
+        if data[1:4] == self._awaited_object or (self._is_reading_text and data[0] < SEGMENT_ANSWERS_BELOW):
             self._client.on_response(0x580 + self._node, bytes(data), timestamp)
 
     def read(self, index: int, sub: int, kind: str) -> int:
@@ -104,11 +106,11 @@ class Sdo:
         ------
         NoAnswer : nothing came in time.
         Refused : the node aborted the transfer.
-        DeviceError : it answered another length.
+        DeviceError : the answer has another length than the integer type.
         """
-        raw = self._guard(index, sub, self._client.upload)
+        raw = self._transfer(index, sub, self._client.upload)
         layout = struct.Struct(FORMATS[kind])
-        if not self._has_size:
+        if not self._answer_states_size:
             raw = raw[: layout.size]
         try:
             (value,) = layout.unpack(raw)
@@ -119,28 +121,29 @@ class Sdo:
         return int(value)
 
     def read_text(self, index: int, sub: int) -> str:
-        """Read a text object, in segments where it is longer than four bytes, within `TEXT_S`.
+        """Read a text object, in segments where it is longer than four bytes, within `TEXT_TIMEOUT_S`.
 
         Raises
         ------
         NoAnswer : nothing came in time.
         DeviceError : the node aborted the transfer, or its text does not end.
         """
-        self._segments, before = True, self._answers.until
-        self._answers.until = min(before, self._port.clock.now() + TEXT_S)
+        self._is_reading_text, earlier_deadline = True, self._answers.deadline
+        self._answers.deadline = min(earlier_deadline, self._port.clock.now() + TEXT_TIMEOUT_S)
         try:
-            raw: bytes = self._guard(index, sub, self._upload_text)
+            raw: bytes = self._transfer(index, sub, self._upload_text)
         finally:
-            self._segments, self._answers.until = False, before
+            self._is_reading_text, self._answers.deadline = False, earlier_deadline
         return raw.decode("utf-8", "replace").strip("\0 ")
 
     def _upload_text(self, index: int, sub: int) -> bytes:
+        """Upload a text object in segments."""
         raw = b""
         with self._client.open(index, sub, buffering=0) as stream:
-            while part := stream.read(7):
-                raw += part
-                if len(raw) > LONGEST_TEXT:
-                    raise SdoCommunicationError(f"a text of more than {LONGEST_TEXT} bytes")
+            while segment := stream.read(7):
+                raw += segment
+                if len(raw) > LONGEST_TEXT_BYTES:
+                    raise SdoCommunicationError(f"a text of more than {LONGEST_TEXT_BYTES} bytes")
         return raw
 
     def write(self, index: int, sub: int, kind: str, value: int) -> None:
@@ -151,7 +154,7 @@ class Sdo:
         NoAnswer : nothing came in time.
         Refused : the node aborted the transfer.
         """
-        self._guard(index, sub, self._client.download, struct.pack(FORMATS[kind], value))
+        self._transfer(index, sub, self._client.download, struct.pack(FORMATS[kind], value))
 
     def write_verified(self, index: int, sub: int, kind: str, value: int) -> None:
         """Write an integer object and read it back.
@@ -161,17 +164,18 @@ class Sdo:
         DeviceError : as `write`, or the node holds another value afterwards.
         """
         self.write(index, sub, kind, value)
-        held = self.read(index, sub, kind)
-        if held != value:
-            raise DeviceError(f"node {self._node}: 0x{index:04X}:{sub} holds {held} after {value} was written")
+        read_back = self.read(index, sub, kind)
+        if read_back != value:
+            raise DeviceError(f"node {self._node}: 0x{index:04X}:{sub} holds {read_back} after {value} was written")
 
-    def _guard(self, index: int, sub: int, call: Any, *arguments: Any) -> Any:
+    def _transfer(self, index: int, sub: int, client_method: Any, *arguments: Any) -> Any:
+        """Run a transfer by a method of `canopen`'s client, and convert its errors to those of this package."""
         self._answers.clear()
         self._client.responses = self._answers  # `canopen` may have put a plain queue there, to drop doubles
-        self._asked = struct.pack("<HB", index, sub)
+        self._awaited_object = struct.pack("<HB", index, sub)
         self.surplus -= 1
         try:
-            return call(index, sub, *arguments)
+            return client_method(index, sub, *arguments)
         except SdoAbortedError as error:
             text = f"node {self._node}: 0x{index:04X}:{sub} refused, abort 0x{error.code:08X} ({error})"
             refusal = Refused(text)

@@ -32,7 +32,7 @@ class ClockObject(BaseModel):
 
 
 def identifiers_of(node: int) -> frozenset[int]:
-    """CAN identifiers of network management and SYNC, and those that CiA 301 assigns to a node."""
+    """Return the CAN identifiers of network management and SYNC, and those that CiA 301 assigns to a node."""
     return frozenset((0x000, 0x080, *(base + node for base in range(0x080, 0x780, 0x80))))
 
 
@@ -43,7 +43,7 @@ class ElmoSettings(DriverSettings):
     counts_per_turn: Annotated[int, Field(strict=True, ge=4, le=2**28)]
     sign: Literal[-1, 1] = 1
     current_convention: CurrentConvention = CurrentConvention.AMPLITUDE
-    host_node: Node = 126  # 127 is what Elmo ships a drive with
+    host_node: Node = 126  # Elmo ships drives with 127
     consumer_heartbeat_ms: Annotated[int, Field(strict=True, ge=10, le=round(SAFE_STATE_S * 1000))] = 100
     producer_heartbeat_ms: Annotated[int, Field(strict=True, ge=5, le=5000)] = 50
     abort_option: Literal[1, 2, 3] = 2
