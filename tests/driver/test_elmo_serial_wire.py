@@ -651,7 +651,7 @@ def test_a_digit_that_arrives_as_another_is_told_by_the_rows_beside_it(bench, mo
         bench.shaft.velocity, bench.shaft.angle = 2.0, 4.0 + 0.02 * number
         with monkeypatch.context() as garbled:
             if number == 20:
-                garbled.setattr(bench.far, "_position", lambda: 78011)  # in place of 28011
+                garbled.setattr(bench.far, "_wrapped_position", lambda: 78011)  # in place of 28011
             row = bench.cycle()
         assert not math.isnan(row[ANGLE])
     assert bench.drive.notices() == [

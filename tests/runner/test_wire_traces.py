@@ -233,7 +233,7 @@ def test_a_trace_is_on_the_disk_once_a_device_is_closed(tmp_path):
 
 def test_a_driver_that_sends_something_else_is_named_with_the_line(traced, monkeypatch):
     trace, bench = traced("serial")
-    monkeypatch.setattr(ElmoSerial, "_demands", lambda *_: ["MF"])
+    monkeypatch.setattr(ElmoSerial, "_cycle_commands", lambda *_: ["MF"])
     found = replayed(trace, bench)
     line = trace.read_text().splitlines()[found.difference.line - 1]
     assert f" {found.difference.owner} > " in line

@@ -38,16 +38,16 @@ from leactl_plugins.elmo_serial.status import StatusRegister, left_operation
 CURRENT, VELOCITY, ANGLE = range(3)  # indices of the references in `values`
 # index of the reference, and unit mode UM of the drive
 REFERENCES_AND_UNIT_MODES = {Mode.CURRENT: (CURRENT, 1), Mode.VELOCITY: (VELOCITY, 2), Mode.ANGLE: (ANGLE, 5)}
-DEMANDS = ("TC", "JV", "PA")  # commands that set the references
+DEMANDS = ("TC", "JV", "PA")  # commands that set the references, by index
 MOTOR_OFF = SPOIL_COMMAND + b"MO=0;"
-MOST_CYCLE_SHARE = 0.55  # share of a cycle that an exchange may take; the loop waits for 0.6 of it
-ENABLE_TIME_S = 3.0  # time to enter operation, with the test of the dead-man before
-LONGEST_SAFE_TRY_S = 0.2  # of one try of the safe state, with echo and lost bytes
-RECONNECT_S = 0.01  # time between a failed connection and the next
+MOST_EXCHANGE_SHARE = 0.55  # share of a cycle that an exchange may take; the loop waits for 0.6 of it
+ENABLE_TIME_S = 3.0  # time to enter operation, including the test of the dead-man before it
+LONGEST_SAFE_TRY_S = 0.2  # time for one attempt to reach the safe state, with echo and lost bytes
+RECONNECT_S = 0.01  # time between a failed attempt to connect and the next one
 MOTOR_MUST_BE_ON = 58  # error number of a demand while the motor is off
-LEAST_PATIENCE_S = 0.02  # timeout of an answer in the loop; an adapter on USB delays bytes by up to 16 ms
+SHORTEST_TIMEOUT_S = 0.02  # of an exchange in the loop; an adapter on USB delays bytes by up to 16 ms
 LONGEST_UPLOAD = 20 + 8 * 0xFFFF  # bytes of one recorded signal
-MOST_GARBLED = 3  # exchanges in sequence
+MOST_GARBLED_EXCHANGES = 3  # in sequence; with this many the run ends
 NOTICE_PERIOD_S = 1.0  # at most one notice of each kind in this time
 # bounds of the readings' noise; a larger deviation is reported
 NOISE_BOUNDS = (("q-axis current [A]", 0.5), ("velocity [rad/s]", 0.2), ("angle [rad]", 0.02))
@@ -55,14 +55,14 @@ NAN = math.nan
 
 
 class _Record:
-    """Notices, rows and counts of one opened drive for the run."""
+    """Notices, rows and counts of one run, from `open` on."""
 
     def __init__(self) -> None:
-        self.irregular, self.reported = IrregularAnswers(), IrregularAnswers()
+        self.irregular_answers, self.reported_answers = IrregularAnswers(), IrregularAnswers()
         self.notices: list[str] = []
         self.rows: list[Row] = []
-        self.quiet_until = self.quiet_of_limits_until = self.quiet_of_outliers_until = -math.inf
-        self.limited = False
+        self.answers_quiet_until = self.limits_quiet_until = self.outliers_quiet_until = -math.inf
+        self.is_current_limited = False  # by the last status
         self.outliers = Outliers(NOISE_BOUNDS)
 
 
@@ -93,36 +93,37 @@ class ElmoSerial(EngagingDrive):
         self._q_per_ampere = settings.sign * settings.current_convention.to_q_axis
         self._limits = DriveLimits(NAN, NAN, -math.inf, math.inf)
         self._position = CountedPosition(*COUNTS_OF_32_BITS)
-        self._exchange_s, self._patience_s = math.inf, settings.answer_timeout_s
+        self._exchange_s, self._exchange_timeout_s = math.inf, settings.answer_timeout_s
         self._record = _Record()
         self._status = StatusRegister(0)
-        self._forgiven = False  # whether the fault latched at `open` is ignored until the drive is switched on
-        self._safe = False  # whether it has confirmed to be off, and got no demand since
+        self._is_fault_ignored = False  # whether a fault that was latched at `open` is ignored until the motor is on
+        self._safe = False  # whether it has confirmed to be off, and has got no demand since
         self._supervised = False  # whether `feed` was called since the last exchange: the next one is a sign of life
-        self._proved = False  # whether its program was seen to switch it off while the host's counter stood still
-        self._heard = self._voltage_due = -math.inf
-        self._garbled = 0
-        self._late = False  # whether the pending exchange was sent in an earlier cycle
+        self._is_dead_man_proved = False  # whether its program has switched it off while the host's counter stood still
+        self._heard = self._voltage_due = -math.inf  # times [s] of the last answer, and of the next voltage query
+        self._garbled_in_sequence = 0
+        self._is_late = False  # whether the pending exchange was sent in an earlier cycle
         self._follow(Mode.OFF)
-        self._followed = [NAN, NAN, NAN]
+        self._references_in_force = [NAN, NAN, NAN]  # current, velocity and angle, until the next queries
         self.values = [NAN] * len(self.loop_channels)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
         """Switch the motor off and confirm it, from any state, over a new connection if needed; never raises."""
         self._follow(Mode.OFF)
         self._safe = False
-        until = self._clock.now() + deadline_s
+        deadline = self._clock.now() + deadline_s
         reason = ""
-        while (seconds_left := until - self._clock.now()) > 0.0:
+        while (seconds_left := deadline - self._clock.now()) > 0.0:
             try:
                 if not self._port.connected:
                     self._port.reopen()
                 self._port.discard()
                 replies = self._switch_off_and_query(min(seconds_left, LONGEST_SAFE_TRY_S))
             except DeviceError as error:
-                if not (reason and isinstance(error, NoAnswer)):  # the last try has little time
+                # an attempt shortly before the deadline has too little time
+                if not (reason and isinstance(error, NoAnswer)):
                     reason = str(error)
-                self._start_afresh(until)
+                self._reconnect(deadline)
                 continue
             status = StatusRegister(replies.integer("SR"))
             if not status.motor_on and replies.integer("MO") == 0:
@@ -139,7 +140,7 @@ class ElmoSerial(EngagingDrive):
 
     def _switch_off_and_query(self, within_s: float) -> Replies:
         """Switch off and query the state; the echo is switched off too, because it may drown the answers."""
-        self._interpreter.begin(("MO=0", "EO=0", "MO", "SR"), first=MOTOR_OFF)
+        self._interpreter.begin(("MO=0", "EO=0", "MO", "SR"), prefix=MOTOR_OFF)
         replies = self._interpreter.collect(self._clock.now() + within_s)
         if replies is None:
             self._interpreter.give_up()
@@ -149,10 +150,11 @@ class ElmoSerial(EngagingDrive):
             replies.integer(command)
         return replies
 
-    def _start_afresh(self, until: float) -> None:
+    def _reconnect(self, deadline: float) -> None:
+        """Open the line again, and wait a moment, but not past the deadline [s]."""
         with suppress(DeviceError):
             self._port.reopen()
-        self._clock.sleep_until(min(until, self._clock.now() + RECONNECT_S))  # a line may be there and take nothing
+        self._clock.sleep_until(min(deadline, self._clock.now() + RECONNECT_S))  # a line may be open and take no byte
 
     def stop_now(self) -> None:
         """Send the command that switches the motor off, without waiting; over a new connection if needed."""
@@ -160,6 +162,7 @@ class ElmoSerial(EngagingDrive):
         send_at_once(self._send_off, self._port, lambda: self._opened)
 
     def _send_off(self) -> None:
+        """Send the command that switches the motor off."""
         if not self._port.connected:
             self._port.reopen()
         self._port.write(MOTOR_OFF)
@@ -169,12 +172,13 @@ class ElmoSerial(EngagingDrive):
 
         Raises
         ------
-        DeviceError : the drive is absent, has no program, or contradicts the bench file; `DeviceFault` if in fault.
+        DeviceError : the drive is absent, is still on, runs no program, or contradicts the bench file.
+        DeviceFault : it is in fault.
         """
         self._port.open()
         self._opened = True
         self._port.discard()
-        self._record, self._safe, self._proved = _Record(), False, False
+        self._record, self._safe, self._is_dead_man_proved = _Record(), False, False
         self._follow(Mode.OFF)
         setup = SerialCommissioning(self.name, self.settings, self._interpreter, self._clock)
         try:
@@ -185,14 +189,20 @@ class ElmoSerial(EngagingDrive):
             self._position = setup.position()
             setup.arm_dead_man()
             self._exchange_s = setup.exchange_s()
-            self._patience_s = min(self.settings.answer_timeout_s, max(3.0 * self._exchange_s, LEAST_PATIENCE_S))
+            self._exchange_timeout_s = min(
+                self.settings.answer_timeout_s, max(3.0 * self._exchange_s, SHORTEST_TIMEOUT_S)
+            )
         except DeviceError as error:
             text = str(error)
             if text.startswith(self.name):
                 raise
             kind = DeviceError if isinstance(error, CommandRefused) else type(error)
             raise kind(f"{self.name}: {text}") from None
-        self._forgiven, self._heard, self._interpreter.surplus = self._status.faulty, self._clock.now(), 0
+        self._is_fault_ignored, self._heard, self._interpreter.surplus = (
+            self._status.is_fault_latched,
+            self._clock.now(),
+            0,
+        )
         self._record.notices.append(
             f"a row's readings are taken one after another, within {1e3 * self._exchange_s:.2g} ms after its time:"
             " a serial line has no common instant"
@@ -210,7 +220,7 @@ class ElmoSerial(EngagingDrive):
 
     @classmethod
     def far_end(cls, settings: ElmoSerialSettings, role: str, physics: Physics) -> SerialEmulator:
-        """A drive that turns the bench's motor."""
+        """Return an emulated drive that turns the bench's motor."""
         from leactl_plugins.elmo_serial.emulator import ElmoSerialEmulator
 
         return ElmoSerialEmulator(
@@ -224,7 +234,7 @@ class ElmoSerial(EngagingDrive):
         )
 
     def identity(self) -> Identity:
-        """Version (VR) and serial number (SN[4]) as read when it was opened."""
+        """Return model, firmware (VR) and serial number (SN[4]) as read at `open`."""
         return self._identity
 
     def recorded(self) -> OwnRecording:
@@ -253,7 +263,7 @@ class ElmoSerial(EngagingDrive):
 
     @property
     def streams(self) -> tuple[StreamSpec, ...]:
-        """The bus voltage, queried at its own rate."""
+        """Stream of the bus voltage, which is queried at its own rate."""
         if self.settings.bus_voltage_command is None:
             return ()
         channel = ChannelSpec("vbus", "bus_voltage", self.role, self.name, "DC link voltage")
@@ -264,22 +274,22 @@ class ElmoSerial(EngagingDrive):
 
         Raises
         ------
-        DeviceError : it does not fit; the message has the highest possible rate.
+        DeviceError : it does not fit.
         """
-        if self._exchange_s > MOST_CYCLE_SHARE * period:
-            most = math.floor(MOST_CYCLE_SHARE / self._exchange_s)
+        if self._exchange_s > MOST_EXCHANGE_SHARE * period:
+            highest_rate_hz = math.floor(MOST_EXCHANGE_SHARE / self._exchange_s)
             raise DeviceError(
                 f"{self.name}: an exchange takes {1e3 * self._exchange_s:.3g} ms on its line, a cycle at"
-                f" {1.0 / period:g} Hz leaves {1e3 * MOST_CYCLE_SHARE * period:.3g} ms: {most} Hz at the most, a higher"
-                " baud rate on both sides, or the drive's CAN (elmo_can)"
+                f" {1.0 / period:g} Hz leaves {1e3 * MOST_EXCHANGE_SHARE * period:.3g} ms: {highest_rate_hz} Hz at the most,"
+                " a higher baud rate on both sides, or the drive's CAN (elmo_can)"
             )
 
     @property
     def engaged(self) -> bool:
         """Whether the drive reports to be on, in the demanded unit mode, with its program running."""
         status = self._status
-        shown = status.motor_on and status.guarded and status.unit_mode == self._unit_mode
-        return self._proved and self._asked_on and shown
+        is_reported_on = status.motor_on and status.has_program and status.unit_mode == self._unit_mode
+        return self._is_dead_man_proved and self._is_on_commanded and is_reported_on
 
     def command(self, value: float) -> None:
         """Set the demand of the engaged mode (A, rad/s or rad) for the next cycle.
@@ -289,20 +299,24 @@ class ElmoSerial(EngagingDrive):
         InputError : not finite, outside the drive's number range, or above its limits.
         """
         if self._reference == CURRENT:
-            most = self._limits.peak * abs(self._q_per_ampere)
-            if not abs(value) <= most:
-                raise InputError(f"{self.name}: a demand of {value:g} A is above the {most:g} A of the drive (PL[1])")
+            highest_current = self._limits.peak_current * abs(self._q_per_ampere)
+            if not abs(value) <= highest_current:
+                raise InputError(
+                    f"{self.name}: a demand of {value:g} A is above the {highest_current:g} A of the drive (PL[1])"
+                )
         elif self._reference == VELOCITY:
-            low, high = self._limits.low, self._limits.high
+            low, high = self._limits.lowest_velocity, self._limits.highest_velocity
             if not (math.isfinite(value) and low <= value / self._angle_per_count <= high):
                 raise InputError(
                     f"{self.name}: a demand of {value:g} rad/s is outside the drive's {low:g} to {high:g} counts/s"
                     " (VL[2], VH[2])"
                 )
-        elif not abs(value / self._angle_per_count - self._position.counts) < self._position.half:
-            reach = self._position.half * abs(self._angle_per_count)
-            raise InputError(f"{self.name}: a demand of {value:g} is outside what the drive can hold ({reach:g})")
-        self._value = value
+        elif not abs(value / self._angle_per_count - self._position.counts) < self._position.half_span:
+            largest_angle = self._position.half_span * abs(self._angle_per_count)
+            raise InputError(
+                f"{self.name}: a demand of {value:g} is outside what the drive can hold ({largest_angle:g})"
+            )
+        self._demanded_value = value
 
     def begin_cycle(self) -> None:
         """Send this cycle's exchange (queries of the readings, then the demand), unless the last one is still pending.
@@ -314,23 +328,23 @@ class ElmoSerial(EngagingDrive):
         DeviceError : the line is gone.
         """
         now, interpreter = self._clock.now(), self._interpreter
-        sent = interpreter.pending_since
-        self._late = sent is not None and now - sent < self._patience_s and not interpreter.garbled
-        if self._late:
+        sent_at = interpreter.pending_since
+        self._is_late = sent_at is not None and now - sent_at < self._exchange_timeout_s and not interpreter.garbled
+        if self._is_late:
             return
-        first = b""
-        if sent is None:
+        prefix = b""
+        if sent_at is None:
             interpreter.drop_unasked()
         else:
             self._lose_exchange()
             interpreter.give_up()
-            first = SPOIL_COMMAND
-        commands = [*READINGS, *self._demands(now)]
+            prefix = SPOIL_COMMAND
+        commands = [*READINGS, *self._cycle_commands(now)]
         if self._voltage_due < now and self._supervised and self.settings.bus_voltage_command is not None:
             self._voltage_due = now + self.settings.bus_voltage_period_s
             commands.append(self.settings.bus_voltage_command)
-        alive = self._supervised and (self._proved or not self._asked_on)
-        interpreter.begin(commands, self.settings.life_variable if alive else "", first)
+        is_heartbeat = self._supervised and (self._is_dead_man_proved or not self._is_on_commanded)
+        interpreter.begin(commands, self.settings.life_variable if is_heartbeat else "", prefix)
         self._supervised = False
 
     def end_cycle(self, deadline: float) -> None:
@@ -343,7 +357,7 @@ class ElmoSerial(EngagingDrive):
         DeviceError : it refuses a command.
         """
         values = self.values
-        values[0], values[1], values[2] = self._followed
+        values[0], values[1], values[2] = self._references_in_force
         values[3] = values[4] = values[5] = values[6] = NAN
         replies = self._interpreter.collect(deadline)
         now = self._clock.now()
@@ -360,64 +374,71 @@ class ElmoSerial(EngagingDrive):
         self._supervised = True
 
     def take(self) -> list[Row]:
-        """Bus voltages since the last call."""
+        """Return the bus voltages since the last call."""
         rows, self._record.rows = self._record.rows, []
         return rows
 
     def notices(self) -> list[str]:
-        """Notices: time between the readings of a row, irregular answers, and each start of a limited current."""
+        """Return notices of readings' times, irregular answers, outliers, and each start of a limited current."""
         record, now = self._record, self._clock.now()
-        if record.irregular != record.reported and (now >= record.quiet_until or self._mode is Mode.OFF):
-            record.quiet_until, record.reported = now + NOTICE_PERIOD_S, replace(record.irregular)
-            record.notices.append(str(record.irregular))
+        if record.irregular_answers != record.reported_answers and (
+            now >= record.answers_quiet_until or self._mode is Mode.OFF
+        ):
+            record.answers_quiet_until, record.reported_answers = (
+                now + NOTICE_PERIOD_S,
+                replace(record.irregular_answers),
+            )
+            record.notices.append(str(record.irregular_answers))
         notices, record.notices = record.notices, []
         return notices
 
     # -- commands ---------------------------------------------------------------------------------------------------
 
     def _follow(self, mode: Mode) -> None:
-        """Change to a mode with zero demand; earlier reports of the drive belong to the mode before."""
-        self._mode, self._value = mode, 0.0
+        """Change to a mode with zero demand; earlier reports of the drive belong to the previous mode."""
+        self._mode, self._demanded_value = mode, 0.0
         reference, self._unit_mode = REFERENCES_AND_UNIT_MODES.get(mode, (ANGLE, 0))
         self._reference: int = reference
         self._enable_by = math.inf
-        self._asked_on = self._was_on = self._asks_why = False
+        self._is_on_commanded = self._was_on = self._asks_fault = False
         self._on_since = NAN  # time at which the motor was switched on for the test of its dead-man
-        self._moving: int | None = None  # demand of the last motion [counts]
-        self._checked: tuple[str, float] | None = None  # demand of the pending exchange, which the drive reads back
+        self._begun_demand: int | None = None  # demand of the last motion that was begun [counts or counts/s]
+        # command and demand of the pending exchange, to be compared with what the drive reads back
+        self._sent_demand: tuple[str, float] | None = None
 
-    def _demands(self, now: float) -> list[str]:
-        """Commands of this cycle besides the queries of the readings."""
-        self._checked = None
-        why = ["MF"] if self._asks_why else []
+    def _cycle_commands(self, now: float) -> list[str]:
+        """Return the commands of this cycle apart from the queries of the readings."""
+        self._sent_demand = None
+        fault_query = ["MF"] if self._asks_fault else []
         if self._mode is Mode.OFF:
-            return [*why, "MO=0"] if self._status.motor_on else why
+            return [*fault_query, "MO=0"] if self._status.motor_on else fault_query
         if self.engaged:
-            return [*why, *self._demand()]
-        if self._asked_on or self._enable_by == -math.inf:
-            return why
+            return [*fault_query, *self._demand_commands()]
+        if self._is_on_commanded or self._enable_by == -math.inf:
+            return fault_query
         if self._status.motor_on:
             return ["MO=0"]
         if self._status.unit_mode != self._unit_mode:
             return [f"UM={self._unit_mode}"]
         if not self._supervised:
             return []
-        self._asked_on, self._was_on, self._on_since = True, False, now
+        self._is_on_commanded, self._was_on, self._on_since = True, False, now
         return ["MO=1", *(["TC=0"] if self._reference == CURRENT else [])]
 
-    def _demand(self) -> list[str]:
-        word = DEMANDS[self._reference]
+    def _demand_commands(self) -> list[str]:
+        """Return the commands that set the demand and read it back; a motion begins only if its demand has changed."""
+        demand_command = DEMANDS[self._reference]
         if self._reference == CURRENT:
-            amperes = round(self._value / self._q_per_ampere, 3)
-            self._checked = word, amperes
-            return [f"{word}={amperes:.3f}", word]
-        counts = round(self._value / self._angle_per_count)
+            amperes = round(self._demanded_value / self._q_per_ampere, 3)
+            self._sent_demand = demand_command, amperes
+            return [f"{demand_command}={amperes:.3f}", demand_command]
+        counts = round(self._demanded_value / self._angle_per_count)
         if self._mode is Mode.ANGLE:
-            counts = self._position.shown(counts)
-        self._checked = word, counts
-        if counts == self._moving:
-            return [word]
-        return [f"{word}={counts}", word, "BG"]
+            counts = self._position.wrapped(counts)
+        self._sent_demand = demand_command, counts
+        if counts == self._begun_demand:
+            return [demand_command]
+        return [f"{demand_command}={counts}", demand_command, "BG"]
 
     # -- answers ----------------------------------------------------------------------------------------------------
 
@@ -428,78 +449,84 @@ class ElmoSerial(EngagingDrive):
         try:
             replies.check()
         except CommandRefused as error:
-            if error.number != MOTOR_MUST_BE_ON or not self._asked_on:
+            if error.number != MOTOR_MUST_BE_ON or not self._is_on_commanded:
                 raise DeviceFault(f"{self.name}: {error}") from None
-            self._asks_why = self._was_on  # MF has the reason; a drive that is just being switched on takes no torque
-            self._checked = None
+            # MF has the reason; a drive that is still being switched on refuses a torque demand
+            self._asks_fault = self._was_on
+            self._sent_demand = None
         current, speed, counts = replies.number("IQ"), replies.number("VX"), replies.integer("PX")
         voltage = self.settings.bus_voltage_command
         if voltage is not None and voltage in replies:
-            self._record.rows.append(Row(f"{self.name}_supply", self._interpreter.answered, (replies.number(voltage),)))
+            self._record.rows.append(
+                Row(f"{self.name}_supply", self._interpreter.answered_at, (replies.number(voltage),))
+            )
         self._check_demand(replies)
         position = self._position
         position.counts = position.nearest(counts)
-        self._garbled = 0
+        self._garbled_in_sequence = 0
         self._take_status(status, now)
-        if "MF" in replies and self._asks_why:
+        if "MF" in replies and self._asks_fault:
             raise DeviceFault(f"{self.name}: {left_operation(status, replies.integer('MF'))}")
-        if self._late:
-            self._record.irregular.late += 1
+        if self._is_late:
+            self._record.irregular_answers.late += 1
             return
         values = self.values
         values[3], values[4] = current * self._q_per_ampere, speed * self._angle_per_count
         values[5], values[6] = position.counts * self._angle_per_count, 1.0 if self.engaged else 0.0
-        self._followed = [NAN, NAN, NAN]
+        self._references_in_force = [NAN, NAN, NAN]
         if self._mode is not Mode.OFF:
-            self._followed[self._reference] = self._value
+            self._references_in_force[self._reference] = self._demanded_value
         self._note_outlier(now)
 
     def _note_outlier(self, now: float) -> None:
         """Add a notice for a reading that differs from both its neighbours."""
         record = self._record
         outlier = record.outliers.add(self.values[3:6])
-        if outlier is not None and now >= record.quiet_of_outliers_until:
-            record.quiet_of_outliers_until = now + NOTICE_PERIOD_S
+        if outlier is not None and now >= record.outliers_quiet_until:
+            record.outliers_quiet_until = now + NOTICE_PERIOD_S
             record.notices.append(f"{outlier}; {record.outliers.count} readings so far")
 
     def _check_demand(self, replies: Replies) -> None:
         """Compare the demand that the drive reads back with the one sent, since RS-232 has no checksum."""
-        if self._checked is None:
+        if self._sent_demand is None:
             return
-        word, sent = self._checked
-        held = replies.number(word)
-        if abs(held - sent) > 1e-3 + 1e-5 * abs(sent):
-            raise DeviceFault(f"{self.name}: holds {word}={held:g} where {sent:g} was sent; the line garbles commands")
-        if word != DEMANDS[CURRENT]:
-            self._moving = int(sent)
+        demand_command, sent = self._sent_demand
+        read_back = replies.number(demand_command)
+        if abs(read_back - sent) > 1e-3 + 1e-5 * abs(sent):
+            raise DeviceFault(
+                f"{self.name}: holds {demand_command}={read_back:g} where {sent:g} was sent; the line garbles commands"
+            )
+        if demand_command != DEMANDS[CURRENT]:
+            self._begun_demand = int(sent)
 
     def _take_status(self, status: StatusRegister, now: float) -> None:
-        """Evaluate the status of the drive."""
-        record, before = self._record, self.engaged
+        """Store the status of the drive, and conclude whether it enters, has entered or has left operation."""
+        record, was_engaged = self._record, self.engaged
         self._status = status
-        if status.limited and not record.limited and now >= record.quiet_of_limits_until:
-            record.quiet_of_limits_until = now + NOTICE_PERIOD_S
+        if status.is_current_limited and not record.is_current_limited and now >= record.limits_quiet_until:
+            record.limits_quiet_until = now + NOTICE_PERIOD_S
             record.notices.append(
-                f"the drive holds its current down to CL[1], {self._limits.continuous:g} A (bit 13 of SR"
+                f"the drive holds its current down to CL[1], {self._limits.continuous_current:g} A (bit 13 of SR"
                 f" 0x{status.register:X})"
             )
-        record.limited = status.limited
-        self._forgiven = self._forgiven and not status.motor_on
-        if not self._asked_on:
-            self._asks_why = self._asks_why or (status.faulty and not self._forgiven)
-        elif status.faulty and not self._forgiven:
-            self._asks_why = True
-        elif not self._proved:
-            self._try_dead_man(status)
+        record.is_current_limited = status.is_current_limited
+        self._is_fault_ignored = self._is_fault_ignored and not status.motor_on
+        if not self._is_on_commanded:
+            self._asks_fault = self._asks_fault or (status.is_fault_latched and not self._is_fault_ignored)
+        elif status.is_fault_latched and not self._is_fault_ignored:
+            self._asks_fault = True
+        elif not self._is_dead_man_proved:
+            self._test_dead_man(status)
         elif self.engaged:
             self._was_on = True
-            if not before and self._reference == ANGLE:
-                self._value = self._position.counts * self._angle_per_count  # hold where the shaft is
+            if not was_engaged and self._reference == ANGLE:
+                # hold the present angle of the shaft
+                self._demanded_value = self._position.counts * self._angle_per_count
             self._enable_by = -math.inf  # from now on, only the drive itself can leave operation
         elif self._was_on:
-            self._asks_why = True
+            self._asks_fault = True
 
-    def _try_dead_man(self, status: StatusRegister) -> None:
+    def _test_dead_man(self, status: StatusRegister) -> None:
         """Test the drive's program before any demand: it has to switch the drive off while the host is silent.
 
         Raises
@@ -508,37 +535,39 @@ class ElmoSerial(EngagingDrive):
         """
         if status.motor_on:
             self._was_on = True
-            lasted = self._interpreter.asked - self._on_since  # least time: it was still on when it was asked
-            if lasted > self.settings.host_silence_s:
+            # at least: it was still on when the exchange was sent
+            on_time = self._interpreter.asked_at - self._on_since
+            if on_time > self.settings.host_silence_s:
                 raise DeviceError(
-                    f"{self.name}: its dead-man does not work: on for {lasted:.3f} s without a sign of life in"
+                    f"{self.name}: its dead-man does not work: on for {on_time:.3f} s without a sign of life in"
                     f" {self.settings.life_variable}, {self.settings.host_silence_s:g} s were set; its program is"
                     " another one, or watches other variables"
                 )
         elif self._was_on:
-            self._proved, self._asked_on, self._was_on = True, False, False
+            self._is_dead_man_proved, self._is_on_commanded, self._was_on = True, False, False
 
     def _count_garbled(self, error: Unreadable) -> None:
-        """Leave the row of a garbled exchange empty.
+        """Count a garbled exchange, which leaves its row empty.
 
         Raises
         ------
-        DeviceError : it is the third in sequence.
+        DeviceError : `MOST_GARBLED_EXCHANGES` in sequence were garbled.
         """
-        self._garbled += 1
+        self._garbled_in_sequence += 1
         self._lose_exchange()
-        if self._garbled >= MOST_GARBLED:
-            raise DeviceError(f"{self.name}: {error}; {self._garbled} exchanges in a row were garbled")
+        if self._garbled_in_sequence >= MOST_GARBLED_EXCHANGES:
+            raise DeviceError(f"{self.name}: {error}; {self._garbled_in_sequence} exchanges in a row were garbled")
 
     def _lose_exchange(self) -> None:
         """Continue after an exchange that the drive may or may not have executed."""
-        self._record.irregular.lost += 1
-        self._moving = None
-        if self._asked_on and not self._was_on:
-            self._asked_on = False  # it is commanded again
+        self._record.irregular_answers.lost += 1
+        self._begun_demand = None
+        if self._is_on_commanded and not self._was_on:
+            self._is_on_commanded = False  # so that it is commanded again
 
     def _count_surplus(self) -> None:
-        self._record.irregular.surplus += self._interpreter.surplus
+        """Add the answers that belonged to no exchange to the irregular ones."""
+        self._record.irregular_answers.surplus += self._interpreter.surplus
         self._interpreter.surplus = 0
 
     def _check_operation(self, now: float) -> None:

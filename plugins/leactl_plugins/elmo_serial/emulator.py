@@ -1,7 +1,7 @@
 """Emulator of an Elmo drive on a serial line: its interpreter, its motor, and the program that monitors the host.
 
 Bytes in, bytes out; it shares only the bits of SR and MF with the driver. The echo is sent at once, byte by byte,
-between answers that are not sent yet (SimplIQ Software Manual, 3.2).
+before answers that are not sent yet (SimplIQ Software Manual, 3.2).
 """
 
 import math
@@ -25,22 +25,22 @@ NOT_IN_THIS_MODE, MOTOR_MUST_BE_OFF, MOTOR_MUST_BE_ON, BAD_UNIT_MODE, NOTHING_YE
 BAD_NUMBER = 162
 BAD_START, NO_DATA = 7, 70
 RC_BITS = 16
-LONG_SIGNALS = (1, 2)  # uploaded in 8 digits
-CURRENT_FACTOR = 0.0078125  # A per bit
-MOST_INPUT = 512  # bytes of a command
-EXECUTE_S = 2e-4  # from the end of a command to the first byte of its answer
+LONG_SIGNALS = (1, 2)  # numbers of the signals that are uploaded in 8 digits
+CURRENT_PER_BIT = 0.0078125  # A, of an uploaded number
+MOST_COMMAND_BYTES = 512  # of a command, of which only the last are kept
+EXECUTE_S = 2e-4  # time from the end of a command to the first byte of its answer
 TICK_S = 0.01  # time between two checks of the host's counter by the program
 LARGEST_INTEGER = 0x7FFFFFFF
 UNIT_MODES = {1, 2, 3, 4, 5}
 FOLLOWED_QUANTITIES = {1: "current", 2: "velocity", 4: "angle", 5: "angle"}  # by unit mode
 DEMAND_UNIT_MODES = {"TC": (1,), "JV": (2, 5), "PA": (4, 5)}  # unit modes in which a demand may be set
 VERSION = "Whistle 1.01.12.00 08Mar2018"
-_form = re.compile(r"([A-Z]{2})(?:\[([0-9]{1,4})\])?(=(.*))?", re.ASCII | re.DOTALL)
-_number = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?", re.ASCII)
+_command_form = re.compile(r"([A-Z]{2})(?:\[([0-9]{1,4})\])?(=(.*))?", re.ASCII | re.DOTALL)
+_number_form = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?", re.ASCII)
 
 
 class InterpreterError(Exception):
-    """A refused command, with the error number."""
+    """Refusal of a command, with its error number."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -89,9 +89,9 @@ class ElmoSerialEmulator:
         self._next_sample, self._samples_left = math.inf, 0
         self.serial_number = "1"
         self.on = False
-        self.program_running = True  # started by itself when the drive was switched on
+        self.program_running = True  # the program starts by itself when the drive gets power
         self.fault_bits = 0  # MF
-        self.frozen = False
+        self.frozen = False  # whether it has stopped answering
         self._last_error = NOTHING_YET
         self._begun_motion: tuple[str, float] | None = None
         self._input = b""
@@ -119,13 +119,13 @@ class ElmoSerialEmulator:
             if byte not in b";\r\n":
                 self._input += bytes((byte,))
             elif self._input:
-                command, self._input = self._input[-MOST_INPUT:].decode("latin-1"), b""
+                command, self._input = self._input[-MOST_COMMAND_BYTES:].decode("latin-1"), b""
                 answer = self._obey(command, now)
                 self._busy = max(self._busy, now) + EXECUTE_S
                 self._output.append((self._busy, answer))
 
     def tick(self, now: float) -> bytes:
-        """Run the program if it is due; returns bytes that are ready."""
+        """Run the program and the recorder if they are due; return bytes that are ready."""
         if self.on and self.program_running and now >= self._next_tick:
             self._next_tick += TICK_S
             self._check_counter()
@@ -139,12 +139,12 @@ class ElmoSerialEmulator:
 
     def _check_counter(self) -> None:
         """Switch off if the host's counter has not changed for the allowed time, as the drive's program does."""
-        counter, allowed = (self.values[variable] for variable in self._watched_variables)
+        counter, allowed_ms = (self.values[variable] for variable in self._watched_variables)
         if counter != self._last_counter:
             self._last_counter, self._quiet_ticks = counter, 0
         else:
             self._quiet_ticks += 1
-        if 1e3 * TICK_S * self._quiet_ticks >= allowed:
+        if 1e3 * TICK_S * self._quiet_ticks >= allowed_ms:
             self._switch(False)
 
     def freeze(self, frozen: bool) -> None:
@@ -157,12 +157,13 @@ class ElmoSerialEmulator:
         self.fault_bits = bits_of(code)
 
     def _switch(self, on: bool, now: float = 0.0) -> None:
+        """Switch the motor; switching it on clears the fault and the demands."""
         self.on, self._begun_motion = on, None
         if on:
             self.fault_bits, self.values["TC"], self.values["JV"] = 0, 0.0, 0
             self._quiet_ticks, self._next_tick = 0, now + TICK_S
             self._last_counter = self.values[self._watched_variables[0]]
-            self.values["PA"] = self._position()
+            self.values["PA"] = self._wrapped_position()
             self._begun_motion = ("angle", self._machine.read()[2]) if self.values["UM"] in (4, 5) else None
             self._move()
         else:
@@ -179,18 +180,19 @@ class ElmoSerialEmulator:
             self._machine.command(mode if mode == "velocity" else "off", 0.0)
 
     def _limited_current(self) -> float:
-        """The demanded current within the limits [A]; the peak current of a few seconds is not emulated."""
-        most = min(self.values["PL[1]"], self.values["CL[1]"])
-        return max(-most, min(most, self.values["TC"]))
+        """Return the demanded current within the limits [A]; the peak current of a few seconds is not emulated."""
+        highest_current = min(self.values["PL[1]"], self.values["CL[1]"])
+        return max(-highest_current, min(highest_current, self.values["TC"]))
 
-    def _position(self) -> int:
+    def _wrapped_position(self) -> int:
+        """Return the angle of the shaft in counts, wrapped to the range of the drive."""
         counts = round(self._machine.read()[2] * self._counts_per_rad)
         low, high = int(self.values["XM[1]"]), int(self.values["XM[2]"])
         return (counts - low) % (high - low) + low if high > low else counts
 
     @property
     def status(self) -> int:
-        """SR."""
+        """Status register SR."""
         moving = self._begun_motion is not None
         limited = self.on and self.values["UM"] == 1 and self._limited_current() != self.values["TC"]
         return (
@@ -204,53 +206,57 @@ class ElmoSerialEmulator:
 
     # -- the recorder ------------------------------------------------------------------------------------------------
 
-    def _record(self, value: float, now: float) -> None:
+    def _set_recording(self, state: float, now: float) -> None:
         """Start recording at once (RR=2) or stop (RR=0); a trigger is not emulated."""
-        if value not in (0, 2):
+        if state not in (0, 2):
             raise InterpreterError(RANGE)
-        self._recording = {bit: [] for bit in range(RC_BITS) if int(self.values["RC"]) >> bit & 1} if value else {}
-        if value and not self._recording:
+        self._recording = {bit: [] for bit in range(RC_BITS) if int(self.values["RC"]) >> bit & 1} if state else {}
+        if state and not self._recording:
             raise InterpreterError(BAD_START)
-        self._samples_left = int(self.values["RL"]) if value else 0
-        self._next_sample = now if value else math.inf
+        self._samples_left = int(self.values["RL"]) if state else 0
+        self._next_sample = now if state else math.inf
 
     def _sample(self) -> None:
+        """Record a sample of each chosen signal."""
         current, velocity, angle = self._machine.read()
-        counted = {1: velocity * self._counts_per_rad, 2: angle * self._counts_per_rad}
-        units = {10: current / self._q_axis_per_ampere / CURRENT_FACTOR, 7: self._machine.bus_voltage}
+        counted_signals = {1: velocity * self._counts_per_rad, 2: angle * self._counts_per_rad}
+        scaled_signals = {10: current / self._q_axis_per_ampere / CURRENT_PER_BIT, 7: self._machine.bus_voltage}
         for bit, items in self._recording.items():
             signal = int(self.values[f"RV[{bit + 1}]"])
-            items.append(round((counted | units).get(signal, 0.0)))
+            items.append(round((counted_signals | scaled_signals).get(signal, 0.0)))
         self._samples_left -= 1
         self._next_sample += 1e-6 * self.values["RG"] * self.values["WS[29]"]
         if not self._samples_left:
             self._next_sample = math.inf
 
-    def _upload(self, value: float) -> str:
-        """The answer to BH: the recording of the lowest bit of RC in `value`; items have 4 or 8 digits by signal."""
-        requested = int(value) & int(self.values["RC"])
+    def _upload(self, signal_mask: float) -> str:
+        """Return the answer to BH: the recording of the lowest bit of RC in the mask, in items of 4 or 8 digits."""
+        requested = int(signal_mask) & int(self.values["RC"])
         bit = (requested & -requested).bit_length() - 1
         if self._samples_left or bit not in self._recording:
             raise InterpreterError(NO_DATA)
-        long = int(self.values[f"RV[{bit + 1}]"]) in LONG_SIGNALS
-        factor = CURRENT_FACTOR if self.values[f"RV[{bit + 1}]"] == 10 else 1.0
-        items, layout = self._recording[bit], ">i" if long else ">h"
-        head = f"00{8 if long else 4:02x}{len(items):04x}{int(self.values['RG']):04x}{struct.pack('>f', factor).hex()}"
+        is_long = int(self.values[f"RV[{bit + 1}]"]) in LONG_SIGNALS
+        factor = CURRENT_PER_BIT if self.values[f"RV[{bit + 1}]"] == 10 else 1.0
+        items, layout = self._recording[bit], ">i" if is_long else ">h"
+        head = (
+            f"00{8 if is_long else 4:02x}{len(items):04x}{int(self.values['RG']):04x}{struct.pack('>f', factor).hex()}"
+        )
         return head + b"".join(struct.pack(layout, item) for item in items).hex()
 
     # -- the interpreter ---------------------------------------------------------------------------------------------
 
     def _obey(self, command: str, now: float) -> bytes:
-        """Execute one command; returns its answer with its end."""
+        """Execute one command; return its answer with its end."""
         try:
-            answer = self._carry_out(command, now)
+            answer = self._answer_of(command, now)
         except InterpreterError as error:
             self._last_error = error.number
             return bytes((error.number,)) + b"?;"
         return answer.encode("ascii") + b";"
 
-    def _carry_out(self, command: str, now: float) -> str:
-        match = _form.fullmatch(command)
+    def _answer_of(self, command: str, now: float) -> str:
+        """Execute one command and return its answer; raise InterpreterError if it is refused."""
+        match = _command_form.fullmatch(command)
         if match is None:
             raise InterpreterError(BAD_COMMAND if not re.match(r"[A-Z]{2}", command) else SYNTAX)
         name = match[1] if match[2] is None else f"{match[1]}[{int(match[2])}]"
@@ -258,7 +264,7 @@ class ElmoSerialEmulator:
             return self._execute(name) if name in ("BG", "ST") else self._query(name)
         if not match[4]:
             raise InterpreterError(EMPTY)
-        if not _number.fullmatch(match[4]):
+        if not _number_form.fullmatch(match[4]):
             raise InterpreterError(BAD_NUMBER)
         if name == "BH":
             return self._upload(float(match[4]))
@@ -266,7 +272,7 @@ class ElmoSerialEmulator:
         return ""
 
     def _query(self, name: str) -> str:
-        """The value of a query."""
+        """Return the answer to a query; raise InterpreterError if there is no such variable."""
         current, velocity, _ = self._machine.read()
         if name == "IQ":
             return f"{current / self._q_axis_per_ampere:.4f}" if self.on else "0"
@@ -275,7 +281,7 @@ class ElmoSerialEmulator:
         integers = {
             "ID": 0,
             "VX": round(velocity * self._counts_per_rad),
-            "PX": self._position(),
+            "PX": self._wrapped_position(),
             "SR": self.status,
             "MO": int(self.on),
             "MF": self.fault_bits,
@@ -289,23 +295,24 @@ class ElmoSerialEmulator:
             return VERSION if name == "VR" else self.serial_number
         if name in self.values:
             return f"{self.values[name]:.10g}"
-        raise InterpreterError(self._unknown(name))
+        raise InterpreterError(self._unknown_variable_error(name))
 
-    def _unknown(self, name: str) -> int:
-        """Error number for an unknown variable."""
-        word = name[:2]
+    def _unknown_variable_error(self, name: str) -> int:
+        """Return the error number for an unknown variable."""
+        letters = name[:2]
         vectors = {variable[:2] for variable in self.values if "[" in variable} | {"AN", "SN"}
-        if word in vectors:
+        if letters in vectors:
             return BAD_INDEX if "[" in name else NEEDS_INDEX
         return BAD_COMMAND
 
     def _set(self, name: str, value: float, now: float) -> None:
+        """Set a variable; raise InterpreterError if the drive refuses it."""
         if name in ("MO", "RR"):
-            (self._set_motor if name == "MO" else self._record)(value, now)
+            (self._set_motor if name == "MO" else self._set_recording)(value, now)
             return
         if name not in self.values:
             read_only = ("IQ", "ID", "VX", "PX", "SR", "MF", "MS", "EC", "VR", "SN[4]", self._voltage_command)
-            raise InterpreterError(READ_ONLY if name in read_only else self._unknown(name))
+            raise InterpreterError(READ_ONLY if name in read_only else self._unknown_variable_error(name))
         if name == "UM":
             if self.on:
                 raise InterpreterError(MOTOR_MUST_BE_OFF)
@@ -324,6 +331,7 @@ class ElmoSerialEmulator:
             self._move()
 
     def _range_of(self, name: str) -> tuple[float, float]:
+        """Return the lowest and the highest value that a variable can take."""
         if name == "TC":
             return -self.values["PL[1]"], self.values["PL[1]"]
         if name == "JV":
@@ -347,7 +355,7 @@ class ElmoSerialEmulator:
             angle = self._machine.read()[2]
             if name == "BG":
                 span = int(self.values["XM[2]"] - self.values["XM[1]"])
-                ahead = (int(self.values["PA"]) - self._position() + span // 2) % span - span // 2
+                ahead = (int(self.values["PA"]) - self._wrapped_position() + span // 2) % span - span // 2
                 angle += ahead / self._counts_per_rad
             self._begun_motion = ("angle", angle)
         else:

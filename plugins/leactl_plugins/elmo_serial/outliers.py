@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-OUTLIER_FACTOR = 5.0  # least deviation of an outlier from its neighbours' mean, over their difference
+OUTLIER_FACTOR = 5.0  # least deviation of an outlier from the mean of its neighbours, over the difference of these
 
 
 class Outlier(NamedTuple):
@@ -27,21 +27,23 @@ class Outlier(NamedTuple):
 
 
 class Outliers:
-    """Checks each reading when the next one arrives; `noise` has name and noise bound of each quantity."""
+    """Check of each reading when the next one arrives; `noise_bounds` has name and noise bound of each quantity."""
 
-    def __init__(self, noise: Sequence[tuple[str, float]]) -> None:
-        self._noise = tuple(noise)
-        self._before = self._latest = (math.nan,) * len(self._noise)
+    def __init__(self, noise_bounds: Sequence[tuple[str, float]]) -> None:
+        self._noise_bounds = tuple(noise_bounds)
+        self._previous_row = self._latest_row = (math.nan,) * len(self._noise_bounds)
         self.count = 0
 
     def add(self, values: Sequence[float]) -> Outlier | None:
-        """Add the readings of a row; returns the first outlier of the row before, or None."""
+        """Add the readings of a row; return the first outlier of the previous row, or None."""
         outlier = None
-        for (quantity, noise), before, value, after in zip(
-            self._noise, self._before, self._latest, values, strict=True
+        for (quantity, noise_bound), before, value, after in zip(
+            self._noise_bounds, self._previous_row, self._latest_row, values, strict=True
         ):
-            if abs(value - 0.5 * (before + after)) > OUTLIER_FACTOR * abs(after - before) + noise:  # NaN compares false
+            if (
+                abs(value - 0.5 * (before + after)) > OUTLIER_FACTOR * abs(after - before) + noise_bound
+            ):  # NaN compares false
                 self.count += 1
                 outlier = outlier or Outlier(quantity, value, before, after)
-        self._before, self._latest = self._latest, tuple(values)
+        self._previous_row, self._latest_row = self._latest_row, tuple(values)
         return outlier

@@ -34,9 +34,9 @@ SIGNALS = {  # by the number in RV; unit in brackets
     15: "AN[4] (A)",
     16: "DV[2] (counts/s)",
 }
-# 2 of the type, 2 of the width, 4 of the length, 4 of the gap, 8 of the factor (float, big-endian)
+# of the digits, 2 are the type, 2 the width, 4 the length, 4 the gap and 8 the factor (a big-endian float)
 HEAD_DIGITS = 20
-ITEM_FORMATS = {4: ">i2", 8: ">i4"}  # by digits of an item
+ITEM_FORMATS = {4: ">i2", 8: ">i4"}  # by the number of digits of an item
 RC_BITS = 16
 SHORTEST_US, LONGEST_US = 10, 10_000  # range in which WS[29] is a time in microseconds
 LONGEST_UPLOAD_S = 30.0  # 4096 items of 8 digits take 17 s at 19200 baud
@@ -93,19 +93,19 @@ def upload_recording(interpreter: Interpreter, answer_s: float) -> OwnRecording:
         raise DeviceError(
             f"its recorder samples every {sampling_us} us (WS[29]); {SHORTEST_US} to {LONGEST_US} us were expected"
         )
-    columns: dict[str, Upload] = {}
+    uploads: dict[str, Upload] = {}
     for signal_slot in range(1, RC_BITS + 1):
         if (signal_mask >> (signal_slot - 1)) & 1:
             number = interpreter.ask(f"RV[{signal_slot}]", within_s=answer_s).integer(f"RV[{signal_slot}]")
             command = f"{UPLOAD_COMMAND}{1 << (signal_slot - 1)}"
-            text = interpreter.ask(command, within_s=LONGEST_UPLOAD_S, tries=1).text(command)
-            columns[SIGNALS.get(number, f"signal {number}")] = upload = parse_upload(text)
+            answer = interpreter.ask(command, within_s=LONGEST_UPLOAD_S, tries=1).text(command)
+            uploads[SIGNALS.get(number, f"signal {number}")] = upload = parse_upload(answer)
             if upload.gap != gap:
                 raise Unreadable(f"{command} was answered by a gap of {upload.gap} where RG is {gap}")
-    lengths = {len(upload.values) for upload in columns.values()}
+    lengths = {len(upload.values) for upload in uploads.values()}
     if len(lengths) != 1:
         listed = ", ".join(map(str, sorted(lengths)))
         fault = f"signals of different lengths: {listed} items" if lengths else "no signal"
         raise Unreadable(f"its recorder gives {fault}")
-    values = np.stack([upload.values for upload in columns.values()], axis=1)
-    return OwnRecording(tuple(columns), 1e-6 * gap * sampling_us, values)
+    values = np.stack([upload.values for upload in uploads.values()], axis=1)
+    return OwnRecording(tuple(uploads), 1e-6 * gap * sampling_us, values)

@@ -19,7 +19,7 @@ class ElmoSerialSettings(DriverSettings):
     sign: Literal[-1, 1] = 1
     current_convention: CurrentConvention = CurrentConvention.AMPLITUDE
     dead_man_ms: Annotated[int, Field(strict=True, ge=100, le=round(SAFE_STATE_S * 1000))] = 300
-    # index of the first of three UI variables: the host's counter, the time without its change, the tag of an exchange
+    # index of the first of three UI variables: the host's counter, its longest time without a change, an exchange's tag
     first_variable: Annotated[int, Field(strict=True, ge=1, le=VARIABLES - 2)] = 1
     bus_voltage_command: Annotated[str, Field(pattern=r"^[A-Z]{2}(\[[0-9]{1,3}\])?$")] | None = "AN[6]"
     bus_voltage_period_s: Annotated[float, Field(strict=True, ge=0.05, le=60)] = 0.2
@@ -41,12 +41,12 @@ class ElmoSerialSettings(DriverSettings):
 
     @property
     def silence_variable(self) -> str:
-        """Variable with the allowed time without a change [ms]."""
+        """Variable that holds the time for which the host's counter may stay unchanged [ms]."""
         return f"UI[{self.first_variable + 1}]"
 
     @property
     def tag_variable(self) -> str:
-        """Variable for the tag of an exchange that is no heartbeat."""
+        """Variable for the tag of an exchange that does not count as a heartbeat."""
         return f"UI[{self.first_variable + 2}]"
 
     @property

@@ -21,35 +21,35 @@ class StatusRegister(NamedTuple):
         return bool(self.register & MOTOR_ON)
 
     @property
-    def faulty(self) -> bool:
-        """Whether a fault has shut the motor down since it was last switched on; MF has the fault."""
+    def is_fault_latched(self) -> bool:
+        """Whether a fault has shut the motor down since it was last switched on; MF says which."""
         return bool(self.register & FAULT_LATCHED)
 
     @property
-    def guarded(self) -> bool:
-        """Whether a program runs in the drive, which guards it against a silent host."""
+    def has_program(self) -> bool:
+        """Whether a program runs in the drive, which has to guard it against a silent host."""
         return bool(self.register & PROGRAM_RUNNING)
 
     @property
-    def limited(self) -> bool:
+    def is_current_limited(self) -> bool:
         """Whether the drive limits its current to the continuous limit."""
         return bool(self.register & CURRENT_LIMITED)
 
     @property
     def unit_mode(self) -> int:
-        """Unit mode (UM)."""
+        """Unit mode (UM), a key of `UNIT_MODES`."""
         return self.register >> UNIT_MODE_SHIFT & UNIT_MODE_BITS
 
     def __str__(self) -> str:
         mode = UNIT_MODES.get(self.unit_mode, f"unit mode {self.unit_mode}")
-        program = "program running" if self.guarded else "no program running"
+        program = "program running" if self.has_program else "no program running"
         return f"motor {'on' if self.motor_on else 'off'}, {mode}, {program}, SR 0x{self.register:X}"
 
 
-def left_operation(status: StatusRegister, bits: int) -> str:
-    """Reason why a drive is out of operation, by SR and MF."""
-    if status.faulty or bits:
-        return motor_fault(bits)
+def left_operation(status: StatusRegister, fault_bits: int) -> str:
+    """Return why a drive is out of operation, by SR and MF."""
+    if status.is_fault_latched or fault_bits:
+        return motor_fault(fault_bits)
     if not status.motor_on:
         return "switched off without a fault: by the program in it, an input or another host"
     return str(status)
