@@ -9,7 +9,7 @@ from enum import IntEnum
 
 
 class Command(IntEnum):
-    """Lower five bits of a CAN identifier; the node is in the bits above. A query is a frame without data."""
+    """Lower five bits of a CAN identifier, below those of the node. A query is a frame without data."""
 
     GET_VERSION = 0x00
     HEARTBEAT = 0x01
@@ -35,7 +35,7 @@ class AxisState(IntEnum):
 
 
 class ControlMode(IntEnum):
-    """Quantity of the input."""
+    """Quantity that the input demands."""
 
     TORQUE = 1
     VELOCITY = 2
@@ -77,31 +77,32 @@ ERRORS = {
     0x40000000: "CALIBRATION_ERROR",
 }
 
-REPEATED_QUERIES = 2  # after an answer came twice: a frame may be doubled by chance, a second drive always answers
+# after an answer has come twice: a frame may be doubled by chance, but a second drive answers every query
+REPEATED_QUERIES = 2
 READ, WRITE = 0, 1  # opcodes of RX_SDO
 PARAMETER = struct.Struct("<BHB")  # READ or WRITE, number of the parameter, reserved; the value follows
 TWO_FLOATS = struct.Struct("<ff")  # position and velocity, demanded and measured current, or bus voltage and current
 ONE_FLOAT = struct.Struct("<f")
-POSITION = struct.Struct("<fhh")  # turns, and velocity and torque fed forward
-MODES = struct.Struct("<II")
-STATE = struct.Struct("<I")
+POSITION = struct.Struct("<fhh")  # position [turns], and velocity and torque that are fed forward
+MODES = struct.Struct("<II")  # ControlMode and InputMode
+STATE = struct.Struct("<I")  # AxisState
 HEARTBEAT = struct.Struct("<IBBBB")  # errors, state, result of a procedure, end of a trajectory, reserved
 # protocol, hardware line, version and variant, firmware major, minor, revision, unreleased
 VERSION = struct.Struct("<8B")
 
 
 def hardware_and_firmware(version: Sequence[int]) -> tuple[str, str]:
-    """Hardware and firmware of a drive, by the fields of `VERSION`."""
+    """Return hardware and firmware of a drive as text, from the fields of `VERSION`."""
     _protocol, *hardware, major, minor, revision, _unreleased = version
     return ".".join(str(number) for number in hardware), f"{major}.{minor}.{revision}"
 
 
 def identifiers_of(node: int) -> frozenset[int]:
-    """The 32 identifiers of a node."""
+    """Return the 32 CAN identifiers of a node."""
     return frozenset(range(node << NODE_SHIFT, node + 1 << NODE_SHIFT))
 
 
-def error_names(errors: int) -> str:
-    """Names of the bits of an error word."""
-    named = [name for bit, name in ERRORS.items() if errors & bit]
-    return f"{' and '.join(named) or 'an error unknown here'} (0x{errors:08X})"
+def error_names(error_word: int) -> str:
+    """Return the names of the bits that are set in an error word, and the word."""
+    names = [name for bit, name in ERRORS.items() if error_word & bit]
+    return f"{' and '.join(names) or 'an error unknown here'} (0x{error_word:08X})"

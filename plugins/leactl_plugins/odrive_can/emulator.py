@@ -59,9 +59,9 @@ class OdriveEmulator:
         self.stored = dict(self.parameters)
         self._paths = {endpoint.number: path for path, endpoint in table.endpoints.items()}
         self.state, self.errors = AxisState.IDLE, 0
-        self.frozen = False
+        self.frozen = False  # whether it has stopped answering
         self._inputs = {ControlMode.POSITION: 0.0, ControlMode.VELOCITY: 0.0, ControlMode.TORQUE: 0.0}
-        self._fed = 0.0
+        self._watchdog_fed_at = 0.0
         self._next_heartbeat = self._next_encoder = -math.inf
 
     @property
@@ -75,17 +75,18 @@ class OdriveEmulator:
 
     @property
     def _heartbeat_s(self) -> float:
-        """Time between two heartbeats; a period of 0 sends none."""
+        """Time between two heartbeats [s]; infinite for a period of 0."""
         return 1e-3 * self.parameters[endpoints.HEARTBEAT_PERIOD] or math.inf
 
     @property
     def _watchdog_ends(self) -> float:
+        """Time at which the watchdog expires [s]."""
         if not self.parameters[endpoints.ENABLE_WATCHDOG] or self.errors & WATCHDOG_TIMER_EXPIRED:
             return math.inf
-        return self._fed + self.parameters[endpoints.WATCHDOG_TIMEOUT]
+        return self._watchdog_fed_at + self.parameters[endpoints.WATCHDOG_TIMEOUT]
 
     def tick(self, now: float) -> list[Frame]:
-        """Heartbeats, cyclic readings, and the reaction of the watchdog."""
+        """Send the heartbeats and readings that are due, and let the watchdog react; return the frames."""
         if self.frozen:
             return []
         if now >= self._watchdog_ends:
@@ -96,51 +97,55 @@ class OdriveEmulator:
             frames.append(self._frame(Command.HEARTBEAT, HEARTBEAT.pack(self.errors, self.state, 0, 0, 0)))
         if self.parameters[endpoints.ENCODER_PERIOD] and now >= self._next_encoder:
             self._next_encoder = now + 1e-3 * self.parameters[endpoints.ENCODER_PERIOD]
-            frames.append(self._encoder())
+            frames.append(self._encoder_frame())
         return frames
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Receive one frame from the bus; returns the answers."""
+        """Receive one frame from the bus; return the answers."""
         identifier, data = frame
         if self.frozen or identifier >> NODE_SHIFT != self._base >> NODE_SHIFT:
             return []
         command = identifier & (1 << NODE_SHIFT) - 1
         if command in WATCHDOG_COMMANDS:
-            self._fed = now
+            self._watchdog_fed_at = now
         if not data:
             return self._answer(command)
         if command == Command.RX_SDO and len(data) >= PARAMETER.size:
-            return self._parameter(data, now)
-        self._take(command, data)
+            return self._access_parameter(data, now)
+        self._obey(command, data)
         return []
 
     def _answer(self, command: int) -> list[Frame]:
+        """Return the answer to a query."""
         if command == Command.GET_VERSION:
             firmware, hardware = (
                 [int(number) for number in text.split(".")] for text in (self._table.firmware, self._table.hardware)
             )
             return [self._frame(Command.GET_VERSION, VERSION.pack(PROTOCOL, *hardware, *firmware, 0))]
         if command == Command.GET_ENCODER_ESTIMATES:
-            return [self._encoder()]
+            return [self._encoder_frame()]
         if command == Command.GET_IQ:
-            asked = self._inputs[ControlMode.TORQUE] / self.parameters[endpoints.TORQUE_CONSTANT]
-            return [self._frame(Command.GET_IQ, TWO_FLOATS.pack(asked, self._machine.read()[0] * TO_AMPLITUDE))]
+            demanded_current = self._inputs[ControlMode.TORQUE] / self.parameters[endpoints.TORQUE_CONSTANT]
+            return [
+                self._frame(Command.GET_IQ, TWO_FLOATS.pack(demanded_current, self._machine.read()[0] * TO_AMPLITUDE))
+            ]
         if command == Command.GET_BUS_VOLTAGE_CURRENT:
             return [self._frame(command, TWO_FLOATS.pack(self._machine.bus_voltage, 0.0))]
         return []
 
-    def _take(self, command: int, data: bytes) -> None:
+    def _obey(self, command: int, data: bytes) -> None:
+        """Obey a command; one of an unknown form changes nothing."""
         if command == Command.SET_AXIS_STATE and len(data) >= STATE.size:
             self._set_state(STATE.unpack_from(data)[0])
         elif command == Command.SET_CONTROLLER_MODE and len(data) == MODES.size:
-            control, filtering = MODES.unpack(data)
-            self.parameters.update({endpoints.CONTROL_MODE: control, endpoints.INPUT_MODE: filtering})
+            control_mode, input_mode = MODES.unpack(data)
+            self.parameters.update({endpoints.CONTROL_MODE: control_mode, endpoints.INPUT_MODE: input_mode})
         elif command == Command.SET_INPUT_POS and len(data) == POSITION.size:
-            self._input(ControlMode.POSITION, POSITION.unpack(data)[0])
+            self._set_input(ControlMode.POSITION, POSITION.unpack(data)[0])
         elif command == Command.SET_INPUT_VEL and len(data) == TWO_FLOATS.size:
-            self._input(ControlMode.VELOCITY, TWO_FLOATS.unpack(data)[0])
+            self._set_input(ControlMode.VELOCITY, TWO_FLOATS.unpack(data)[0])
         elif command == Command.SET_INPUT_TORQUE and len(data) >= ONE_FLOAT.size:
-            self._input(ControlMode.TORQUE, ONE_FLOAT.unpack_from(data)[0])
+            self._set_input(ControlMode.TORQUE, ONE_FLOAT.unpack_from(data)[0])
         elif command == Command.CLEAR_ERRORS:
             self.errors = 0
 
@@ -150,28 +155,29 @@ class OdriveEmulator:
             self._machine.command("off", 0.0)
         elif state == AxisState.CLOSED_LOOP_CONTROL and not self.errors:
             self.state = AxisState.CLOSED_LOOP_CONTROL
-            self._drive()
+            self._follow_input()
 
-    def _input(self, mode: ControlMode, value: float) -> None:
+    def _set_input(self, mode: ControlMode, value: float) -> None:
         self._inputs[mode] = value
         if self.state == AxisState.CLOSED_LOOP_CONTROL:
-            self._drive()
+            self._follow_input()
 
-    def _drive(self) -> None:
-        """Let the motor follow the input of the mode; it is limited to the drive's limits without a message."""
+    def _follow_input(self) -> None:
+        """Let the motor follow the input of the mode, clipped to the drive's limits without a message."""
         mode = ControlMode(int(self.parameters[endpoints.CONTROL_MODE]))
         value = self._inputs[mode]
         if mode is ControlMode.POSITION:
             self._machine.command("angle", value * TURN)
         elif mode is ControlMode.VELOCITY:
-            most = self.parameters[endpoints.VELOCITY_LIMIT]
-            self._machine.command("velocity", max(-most, min(most, value)) * TURN)
+            highest = self.parameters[endpoints.VELOCITY_LIMIT]
+            self._machine.command("velocity", max(-highest, min(highest, value)) * TURN)
         else:
-            most = self.parameters[endpoints.CURRENT_SOFT_MAX]
+            highest = self.parameters[endpoints.CURRENT_SOFT_MAX]
             current = value / self.parameters[endpoints.TORQUE_CONSTANT]
-            self._machine.command("current", max(-most, min(most, current)) / TO_AMPLITUDE)
+            self._machine.command("current", max(-highest, min(highest, current)) / TO_AMPLITUDE)
 
-    def _parameter(self, data: bytes, now: float) -> list[Frame]:
+    def _access_parameter(self, data: bytes, now: float) -> list[Frame]:
+        """Read or write a parameter; return the answer."""
         opcode, number, _ = PARAMETER.unpack_from(data)
         path = self._paths.get(number)
         if path is None:
@@ -180,14 +186,14 @@ class OdriveEmulator:
         if opcode == WRITE:
             if len(data) >= PARAMETER.size + layout.size:
                 (self.parameters[path],) = layout.unpack_from(data, PARAMETER.size)
-                self._fed = now if path == endpoints.ENABLE_WATCHDOG else self._fed
+                self._watchdog_fed_at = now if path == endpoints.ENABLE_WATCHDOG else self._watchdog_fed_at
                 self._next_heartbeat = min(self._next_heartbeat, now + self._heartbeat_s)
             return [self._frame(Command.TX_SDO, PARAMETER.pack(0, number, 0))]
         value = self.parameters[path]
         packed = layout.pack(value if layout.format == "<f" else int(value))
         return [self._frame(Command.TX_SDO, PARAMETER.pack(0, number, 0) + packed)]
 
-    def _encoder(self) -> Frame:
+    def _encoder_frame(self) -> Frame:
         _, velocity, angle = self._machine.read()
         return self._frame(Command.GET_ENCODER_ESTIMATES, TWO_FLOATS.pack(angle / TURN, velocity / TURN))
 
@@ -195,6 +201,7 @@ class OdriveEmulator:
         return Frame(self._base | command, data)
 
     def _disarm(self, error: int) -> None:
+        """Go idle with an error."""
         self.errors |= error
         self.state = AxisState.IDLE
         self._machine.command("off", 0.0)

@@ -15,7 +15,7 @@ VELOCITY_LIMIT = "axis0.controller.config.vel_limit"  # turns/s
 CONTROL_MODE = "axis0.controller.config.control_mode"
 INPUT_MODE = "axis0.controller.config.input_mode"
 HEARTBEAT_PERIOD = "axis0.config.can.heartbeat_msg_rate_ms"
-ENCODER_PERIOD = "axis0.config.can.encoder_msg_rate_ms"  # of readings that are sent unasked; 0 is never
+ENCODER_PERIOD = "axis0.config.can.encoder_msg_rate_ms"  # of readings that are sent without a query; 0: never
 CURRENT_PERIOD = "axis0.config.can.iq_msg_rate_ms"
 REQUIRED_PARAMETERS = (
     ENABLE_WATCHDOG,
@@ -29,7 +29,7 @@ REQUIRED_PARAMETERS = (
     ENCODER_PERIOD,
     CURRENT_PERIOD,
 )
-FORMATS = {
+FORMATS = {  # of `struct`, by the maker's name of a type
     "bool": "?",
     "uint8": "B",
     "int8": "b",
@@ -59,11 +59,11 @@ class EndpointTable(NamedTuple):
 
 @lru_cache(maxsize=8)
 def read_table(path: str) -> EndpointTable:
-    """Read the maker's file, or that of the emulated drive.
+    """Read the table from the maker's file, or that of the emulated drive.
 
     Raises
     ------
-    ValueError : it cannot be read, has another form, or lacks a required parameter.
+    ValueError : the file cannot be read, has another form, or lacks a required parameter.
     """
     try:
         if path == EMULATED_TABLE:
@@ -85,6 +85,7 @@ def read_table(path: str) -> EndpointTable:
 
 
 def _layout(kind: str) -> struct.Struct:
+    """Return the layout of a value of this type; raise ValueError if the type is not known."""
     if kind not in FORMATS:
         raise ValueError(f"a parameter is of the type '{kind}'; {', '.join(FORMATS)} were expected")
     return struct.Struct("<" + FORMATS[kind])

@@ -17,8 +17,8 @@ class Parameters:
         self._identifier = node << NODE_SHIFT | Command.RX_SDO
         self._endpoints = table.endpoints
         self._paths = {endpoint.number: path for path, endpoint in table.endpoints.items()}
-        self._awaited = ""  # path
-        self._answered = [False]  # a list, because `pump_until` watches items that listeners set
+        self._awaited = ""  # path of the parameter that `read` waits for
+        self._answered = [False]  # whether its value has arrived; a list, because the port watches its item
         self.reported: dict[str, float] = {}  # newest reported value by path
 
     def ask(self, path: str) -> None:
@@ -29,8 +29,10 @@ class Parameters:
         """Send a value without waiting, and forget the value reported before."""
         endpoint = self._endpoints[path]
         self.reported.pop(path, None)
-        written = value if endpoint.layout.format == "<f" else int(value)
-        self._port.send(self._identifier, PARAMETER.pack(WRITE, endpoint.number, 0) + endpoint.layout.pack(written))
+        packed_value = value if endpoint.layout.format == "<f" else int(value)
+        self._port.send(
+            self._identifier, PARAMETER.pack(WRITE, endpoint.number, 0) + endpoint.layout.pack(packed_value)
+        )
 
     def read(self, path: str) -> float:
         """Query a parameter and wait for its value.
@@ -71,7 +73,7 @@ class Parameters:
         return reported is not None and abs(reported - value) <= READ_BACK_TOLERANCE * abs(value)
 
     def on_frame(self, data: bytearray, _timestamp: float) -> None:
-        """Receive an answer; one without a value confirms a write (firmware 0.6.11)."""
+        """Receive an answer; an answer without a value confirms a write (firmware 0.6.11) and is ignored."""
         if len(data) < PARAMETER.size:
             return
         path = self._paths.get(PARAMETER.unpack_from(data)[1])

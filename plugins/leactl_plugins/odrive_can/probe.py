@@ -20,7 +20,7 @@ from leactl_plugins.odrive_can.can_simple import (
 )
 
 LAST_NODE = 62  # 63 stands for a drive without a node
-STATES = range(1, 15)  # of an axis, as heartbeats show them (firmware 0.6)
+STATES = range(1, 15)  # of an axis in heartbeats (firmware 0.6)
 KNOWN_ERRORS = sum(ERRORS)
 HOST_COMMANDS = (
     Command.RX_SDO,
@@ -30,17 +30,17 @@ HOST_COMMANDS = (
     Command.SET_INPUT_VEL,
     Command.SET_INPUT_TORQUE,
 )
-ANSWER_S = 0.2
-MOST_ANSWERS = 3  # kept of each node
+ANSWER_TIMEOUT_S = 0.2  # always waited for in full: a second drive may answer too
+MOST_KEPT_ANSWERS = 3  # of each node
 
 
 class OdriveProbe(CanProbe):
-    """Asks no node from which nothing was heard: the questions have identifiers that CANopen gives to commands."""
+    """Probe that asks only nodes that were heard: a query has an identifier that CANopen gives to commands."""
 
     searches = False
 
     def heard(self, frames: Sequence[Frame]) -> Collection[int]:
-        """Nodes that sent a heartbeat."""
+        """Return the nodes that sent a heartbeat."""
         return {frame.identifier >> NODE_SHIFT for frame in frames if _is_heartbeat(frame)}
 
     def host(self, frames: Sequence[Frame]) -> str:
@@ -53,7 +53,7 @@ class OdriveProbe(CanProbe):
         return ""
 
     def identifiers(self, address: int) -> Collection[int]:
-        """The 32 identifiers of the node."""
+        """Return the 32 identifiers of the node."""
         return identifiers_of(address)
 
     def ask(self, port: CanPort, addresses: Collection[int], taken: Collection[int]) -> Seen:
@@ -67,25 +67,27 @@ class OdriveProbe(CanProbe):
                 yield _sighting_unasked(node)
                 continue
             answers: list[bytes] = []
-            port.listen(query, partial(_keep, answers))
+            port.listen(query, partial(_keep_answer, answers))
             try:
                 _ask_once(port, query)
                 for _ in range(REPEATED_QUERIES):
                     if len(answers) < 2 or len(set(answers)) > 1:
                         break
-                    del answers[:]  # a frame may have come twice; a second drive answers every question
+                    del answers[:]  # a frame may have come twice, but a second drive answers every query
                     _ask_once(port, query)
             finally:
                 port.listen(query, None)
-            yield _read(node, answers)
+            yield _sighting_of(node, answers)
 
 
 def _ask_once(port: CanPort, query: int) -> None:
+    """Send a query, and let answers arrive until the time-out."""
     port.send(query, b"")
-    port.pump_until((False,), port.clock.now() + ANSWER_S)
+    port.pump_until((False,), port.clock.now() + ANSWER_TIMEOUT_S)
 
 
 def _is_heartbeat(frame: Frame) -> bool:
+    """Return whether a frame is an ODrive's heartbeat with known errors and a known state."""
     identifier, data = frame
     if identifier & (1 << NODE_SHIFT) - 1 != Command.HEARTBEAT or identifier >> NODE_SHIFT > LAST_NODE:
         return False
@@ -95,17 +97,19 @@ def _is_heartbeat(frame: Frame) -> bool:
     return not errors & ~KNOWN_ERRORS and state in STATES and trajectory_ended <= 1
 
 
-def _keep(answers: list[bytes], data: bytearray, _timestamp: float) -> None:
-    if len(answers) < MOST_ANSWERS:
+def _keep_answer(answers: list[bytes], data: bytearray, _timestamp: float) -> None:
+    if len(answers) < MOST_KEPT_ANSWERS:
         answers.append(bytes(data))
 
 
 def _sighting_unasked(node: int) -> Sighting:
+    """Return the sighting of a node that was not asked for its version."""
     reason = "its version was not asked for: to CANopen devices that question is a command"
     return Sighting(node, Identity("ODrive"), {"node": node}, f"heard by its heartbeat; {reason}")
 
 
-def _read(node: int, answers: Sequence[bytes]) -> Sighting | str:
+def _sighting_of(node: int, answers: Sequence[bytes]) -> Sighting | str:
+    """Return the sighting of a node from its answers; a text if they do not identify one ODrive."""
     if not answers:
         return f"node {node}: sends an ODrive's heartbeats and does not tell its version"
     if len(answers) > 1:
@@ -116,8 +120,8 @@ def _read(node: int, answers: Sequence[bytes]) -> Sighting | str:
     if len(answers[0]) != VERSION.size:
         return f"node {node}: tells its version by {answers[0].hex(' ') or 'no byte'}; 8 bytes were expected"
     version = VERSION.unpack(answers[0])
-    board, firmware = hardware_and_firmware(version)
-    identity = Identity(f"ODrive {board}", "", firmware)
+    hardware, firmware = hardware_and_firmware(version)
+    identity = Identity(f"ODrive {hardware}", "", firmware)
     if version[0] != PROTOCOL:
         return Sighting(node, identity, None, f"protocol {version[0]}; {PROTOCOL} of firmware 0.6 is known here")
     return Sighting(node, identity, {"node": node}, "endpoints: the maker's flat_endpoints.json of that firmware")
