@@ -587,7 +587,7 @@ def test_a_supply_that_is_asked_for_in_every_cycle_leaves_every_second_one_to_th
     bench.engage(Mode.CURRENT)
     bench.drive.take()
     for _ in range(20):
-        bench.drive._with_supply = True
+        bench.drive._asks_supply_next = True
         bench.cycle()
     assert len(bench.drive.take()) == 10
     assert bench.drive.engaged

@@ -23,8 +23,8 @@ BEMF_FEEDFORWARD = "servo.bemf_feedforward"  # refused by the firmware without a
 
 CHANNEL = 1
 MOST_TEXT_BYTES = 48  # of one poll's answer
-MOST_TRIES = 3  # of one query or one write: a frame may get lost
-MOST_POLLS = 3  # for one answer within the loop, each with as much text as a frame holds
+MOST_TRIES = 3  # of one line: a frame may get lost
+MOST_POLLS = 3  # for one answer within the loop, each of which brings as much text as a frame holds
 POLL_PAUSE_S = 0.002  # time between two polls for text that is not ready yet
 READ_BACK_TOLERANCE = 1e-6  # share of a value, for the controller's single precision
 
@@ -38,10 +38,10 @@ class Configuration:
         self._reply_identifier = identifier(host | REPLY_REQUESTED, node)
         self._came = [False]
         self._text = b""
-        self._parameter = ""  # that `continue_reading` queries, after it has discarded text left by an earlier host
-        self._is_asked, self._heard = False, b""
-        self._asked_at, self._polls = -math.inf, 0
-        self._ask_again_at = -math.inf
+        self._parameter = ""  # that `continue_reading` queries, after text that an earlier host has left
+        self._is_line_sent, self._received_text = False, b""
+        self._line_sent_at, self._polls = -math.inf, 0
+        self._poll_again_at = -math.inf
 
     def on_text(self, text: bytes) -> None:
         """Receive the text of a poll, which may be empty."""
@@ -52,11 +52,13 @@ class Configuration:
 
         Raises
         ------
-        DeviceError : the controller lacks it; `NoAnswer` if it does not answer.
+        DeviceError : the controller lacks it.
+        NoAnswer : the controller does not answer.
         """
-        return self._parse_number(parameter, self._ask(f"conf get {parameter}"))
+        return self._parse_number(parameter, self._answer_to(f"conf get {parameter}"))
 
     def _parse_number(self, parameter: str, answer: str) -> float:
+        """Return the number in an answer; raise DeviceError if it is another text."""
         try:
             return float(answer)
         except ValueError:
@@ -69,9 +71,10 @@ class Configuration:
 
         Raises
         ------
-        DeviceError : another value reads back; `NoAnswer` if the controller does not answer.
+        DeviceError : another value reads back.
+        NoAnswer : the controller does not answer.
         """
-        answer = self._ask(f"conf set {parameter} {value:g}")
+        answer = self._answer_to(f"conf set {parameter} {value:g}")
         read_back = self.read(parameter)
         if not abs(read_back - value) <= READ_BACK_TOLERANCE * abs(value):
             raise DeviceError(
@@ -80,61 +83,61 @@ class Configuration:
 
     def begin_reading(self, parameter: str) -> None:
         """Begin to query a parameter within the control loop; `continue_reading` continues the query."""
-        self._parameter, self._ask_again_at = parameter, -math.inf
-        self._came[0] = self._is_asked = False
+        self._parameter, self._poll_again_at = parameter, -math.inf
+        self._came[0] = self._is_line_sent = False
 
     def continue_reading(self) -> float | None:
-        """Send the next frame of the query without waiting; returns the value once it has arrived.
+        """Send the next frame of the query without waiting; return the value once it has arrived.
 
-        If a poll is not answered within `answer_timeout_s`, the query begins again; so it does if the answer is
-        incomplete by then and after three polls: a cycle may take longer than the time-out.
+        The query begins again if a poll is not answered within `answer_timeout_s`. It also does if the answer is still
+        incomplete after that time and `MOST_POLLS` polls, since a cycle may take longer than the time-out.
 
         Raises
         ------
-        DeviceError : the bus is closed, full or gone, or the answer is no number.
+        DeviceError : the bus is closed, full or gone, or the answer is not a number.
         """
         now = self._port.clock.now()
-        if self._came[0] and self._is_asked:
-            self._heard += self._text
-            if b"\n" in self._heard:
-                return self._parse_number(self._parameter, _first_line(self._heard))
+        if self._came[0] and self._is_line_sent:
+            self._received_text += self._text
+            if b"\n" in self._received_text:
+                return self._parse_number(self._parameter, _first_line(self._received_text))
             self._polls += 1
-            self._is_asked = self._polls < MOST_POLLS or now < self._asked_at + self._timeout_s
+            self._is_line_sent = self._polls < MOST_POLLS or now < self._line_sent_at + self._timeout_s
         elif self._came[0]:
             if not self._text:
                 self._send_line(f"conf get {self._parameter}")
-                self._is_asked, self._asked_at, self._polls, self._heard = True, now, 0, b""
-        elif now < self._ask_again_at:
+                self._is_line_sent, self._line_sent_at, self._polls, self._received_text = True, now, 0, b""
+        elif now < self._poll_again_at:
             return None
         else:
-            self._is_asked = False
-        self._ask_again_at = now + self._timeout_s
+            self._is_line_sent = False
+        self._poll_again_at = now + self._timeout_s
         self._send_poll()
         return None
 
-    def _ask(self, line: str) -> str:
+    def _answer_to(self, line: str) -> str:
         """Send a line and return the first line of the answer; text left by an earlier host is discarded first."""
         for _ in range(MOST_TRIES):
-            until = self._port.clock.now() + self._timeout_s
-            while self._poll(until):
+            deadline = self._port.clock.now() + self._timeout_s
+            while self._poll(deadline):
                 pass
             self._send_line(line)
             answer = b""
-            while self._port.clock.now() < until:
-                part = self._poll(until)
-                if part is None:
+            while self._port.clock.now() < deadline:
+                text = self._poll(deadline)
+                if text is None:
                     break
-                answer += part
+                answer += text
                 if b"\n" in answer:
                     return _first_line(answer)
-                if not part:
-                    self._port.clock.sleep_until(min(until, self._port.clock.now() + POLL_PAUSE_S))
+                if not text:
+                    self._port.clock.sleep_until(min(deadline, self._port.clock.now() + POLL_PAUSE_S))
         raise NoAnswer(f"{self._name}: '{line}' was not answered in {MOST_TRIES} times {self._timeout_s:g} s")
 
-    def _poll(self, until: float) -> bytes | None:
-        """Text that waits in the controller; None if the poll is not answered."""
+    def _poll(self, deadline: float) -> bytes | None:
+        """Return text that waits in the controller; None if the poll is not answered."""
         self._send_poll()
-        return self._text if self._port.pump_until(self._came, until) else None
+        return self._text if self._port.pump_until(self._came, deadline) else None
 
     def _send_line(self, line: str) -> None:
         self._port.send_fd(self._plain_identifier, pad(text_to_device(CHANNEL, f"{line}\n".encode("ascii"))))
@@ -145,4 +148,5 @@ class Configuration:
 
 
 def _first_line(text: bytes) -> str:
+    """Return the first line of an answer, without blanks around it."""
     return text.partition(b"\n")[0].strip().decode("ascii", "replace")

@@ -33,15 +33,15 @@ from leactl_plugins.moteus_can.settings import HOST, MoteusSettings
 
 CURRENT, VELOCITY, ANGLE = range(3)  # indices of the references in `values`
 REFERENCES = {Mode.CURRENT: CURRENT, Mode.VELOCITY: VELOCITY, Mode.ANGLE: ANGLE}
-AMPLITUDE = math.sqrt(2.0 / 3.0)  # of a phase current, per ampere of the power-invariant q axis
+AMPLITUDE_PER_Q_AXIS = math.sqrt(2.0 / 3.0)  # of a phase current, per ampere of the power-invariant q axis
 TURN = 2.0 * math.pi
-FARTHEST_TURNS = 1024.0  # up to there, single precision resolves 0.4 mrad
+FARTHEST_TURNS = 1024.0  # up to this position, single precision resolves 0.4 mrad
 ENABLE_TIME_S = 2.0  # time for the controller to enter operation
-MOST_TRIES = 3  # of one query: a frame may get lost
+MOST_TRIES = 3  # of the first query: a frame may get lost
 SECOND_ANSWER_S = 0.01  # time for a second controller of the same number to answer too
 NOTICE_PERIOD_S = 1.0  # at most one notice of a kind in this time
-LEAST_COMPARED_A = 1.0  # amplitude from which on torque and current are compared
-TORQUE_SAMPLES = 50
+LEAST_COMPARED_AMPLITUDE_A = 1.0  # at lower currents, torque and current are not compared
+COMPARED_SAMPLES = 50  # of torque and current, whose sums are compared
 TORQUE_RATIO_TOLERANCE = 0.05  # relative; a wrong factor or gear makes a larger difference
 STATED_VALUE_TOLERANCE = 0.01  # relative difference from a value that the bench file states
 NAN = math.nan
@@ -65,7 +65,7 @@ ZERO_PARAMETERS = {
     conf.FIXED_VOLTAGE: "neither encoder nor current loop would be used",
     conf.BEMF_FEEDFORWARD: "the controller refuses it without a limit of acceleration, and none is sent",
 }
-"""Parameters that must be 0, and why."""
+"""Parameters that must be 0, with the reason."""
 
 
 class MoteusCan(Driver):
@@ -80,72 +80,81 @@ class MoteusCan(Driver):
     def __init__(self, name: str, role: str, settings: MoteusSettings, port: CanPort, clock: Clock) -> None:
         self.name, self.role, self.settings = name, role, settings
         self._port, self._clock = port, clock
-        self._to, self._from = identifier(HOST | REPLY_REQUESTED, settings.node), identifier(settings.node, HOST)
+        self._command_identifier, self._answer_identifier = (
+            identifier(HOST | REPLY_REQUESTED, settings.node),
+            identifier(settings.node, HOST),
+        )
         self._configuration = Configuration(name, port, HOST, settings.node, settings.answer_timeout_s)
         self._connected = False
-        self._turn = settings.sign * TURN  # rad per revolution of the controller
-        self._torque_per_ampere = self._most_current = self._most_turns_s = NAN
+        self._rad_per_turn = settings.sign * TURN  # rad, of one turn of the controller
+        self._torque_per_ampere = self._highest_current = self._highest_turns_per_s = NAN
         self._lowest_turns, self._highest_turns = -FARTHEST_TURNS, FARTHEST_TURNS
         self._identity = Identity()
-        self._timeout_mode_before: float | None = None  # restored at `close`
-        self._safe = False  # whether it has confirmed to be safe, and got no demand since
-        self._exchange = ControllerExchange(port, self._to)
-        self._answer: dict[int, float] = {}  # the last answer, by register
-        self._heard_until = -math.inf
+        self._original_timeout_mode: float | None = None  # restored at `close`; None: unchanged
+        self._safe = False  # whether it has confirmed to be safe, and has got no demand since
+        self._exchange = ControllerExchange(port, self._command_identifier)
+        self._last_answer: dict[int, float] = {}  # by register
+        self._heard_until = -math.inf  # time [s] by which the next answer has to arrive
         self.reported_mode: int | None = None  # since the last change of the demanded mode; None until one is reported
         self.fault = 0
-        self._reported_timeout = NAN
-        self._turns = NAN  # revolutions, reported position of the shaft
+        self._reported_timeout = NAN  # s, for which a command is valid
+        self._shaft_turns = NAN  # turns, position of the shaft as last reported
         self._supply_due = -math.inf
-        self._with_supply = self._had_supply = False  # whether the next query, and the last one, asks for the supply
+        # whether the next query has to ask for the supply, and whether the last one did
+        self._asks_supply_next = self._asked_supply_last = False
         self._rows: list[Row] = []
-        self._limited, self._reported_limit = 0, 0
+        self._limit_code, self._reported_limit_code = 0, 0
         self._quiet_until = -math.inf
         self._supervised = False  # whether `feed` was called since the last command, so that the next may be sent
-        self._mode, self._reference, self._value = Mode.OFF, ANGLE, 0.0
+        self._mode, self._reference, self._demanded_value = Mode.OFF, ANGLE, 0.0
         self._timeout_mode = NAN  # as read back since the last change of the demanded mode
-        self._prepared = False  # whether it has reported since then to be stopped, with the time-out mode of `open`
+        self._is_prepared = False  # whether it has since then reported to be stopped, with the time-out mode of `open`
         self._enable_by = math.inf
-        self._currents = self._torques = 0.0  # sums, for the torque per ampere that the controller reports
-        self._samples = 0
-        self._followed = [NAN, NAN, NAN]  # current, velocity and angle references in force since the last query
+        self._current_sum = self._torque_sum = 0.0  # sums, whose ratio is the torque per ampere of the controller
+        self._sample_count = 0
+        # current, velocity and angle, since the last query
+        self._references_in_force = [NAN, NAN, NAN]
         self.values = [NAN] * len(self.loop_channels)
 
     def safe_state(self, deadline_s: float) -> Confirmation:
         """Stop the controller, from any state, over a new connection if needed; never raises.
 
-        Only the answer to a frame with a stop command, or to a later frame, confirms it. A controller in fault has no
-        power at its output, and a stop would clear the fault: if a fault is known, the controller is only queried.
+        Only the answer to a frame with a stop command, or to a later one, confirms the stop. A controller in fault has
+        no power at its output, and a stop would clear the fault: if a fault is known, the controller is only queried.
         """
         return self._stop(deadline_s, self.reported_mode == OperatingMode.FAULT)
 
     def _stop(self, deadline_s: float, in_fault: bool) -> Confirmation:
+        """Stop the controller; if it is in fault, only query it, and confirm the fault as a safe state."""
         self._follow(Mode.OFF)
-        until = self._clock.now() + deadline_s
-        reason, cleared = "no time was left", ""
-        while self._clock.now() < until:
+        deadline = self._clock.now() + deadline_s
+        reason, cleared_fault_text = "no time was left", ""
+        while self._clock.now() < deadline:
             try:
                 self._connect()
                 command = b"" if in_fault else STOP
-                answered = self._exchange.is_answered(command, STATUS, min(until, self._clock.now() + 0.25))
+                is_answered = self._exchange.is_answered(command, STATUS, min(deadline, self._clock.now() + 0.25))
             except DeviceError as error:
-                answered, reason = False, str(error)
-                self._clock.sleep_until(min(until, self._clock.now() + 0.01))
+                is_answered, reason = False, str(error)
+                self._clock.sleep_until(min(deadline, self._clock.now() + 0.01))
             else:
-                reason = f"mode {self.reported_mode}" if answered else "no answer"
-            if not answered:
+                reason = f"mode {self.reported_mode}" if is_answered else "no answer"
+            if not is_answered:
                 with suppress(DeviceError):
                     self._port.reopen()
                 continue
             if self.reported_mode == OperatingMode.STOPPED or (in_fault and self.reported_mode == OperatingMode.FAULT):
                 self._safe = True
                 return Confirmation(
-                    True, f"in fault, without power: {fault_text(self.fault)}" if in_fault else f"stopped{cleared}"
+                    True,
+                    f"in fault, without power: {fault_text(self.fault)}"
+                    if in_fault
+                    else f"stopped{cleared_fault_text}",
                 )
             if self.reported_mode == OperatingMode.FAULT:
-                cleared = f"; it was in fault: {fault_text(self.fault)}"
+                cleared_fault_text = f"; it was in fault: {fault_text(self.fault)}"
             in_fault = False
-            self._clock.sleep_until(min(until, self._clock.now() + 0.001))  # the controller obeys in its next loop
+            self._clock.sleep_until(min(deadline, self._clock.now() + 0.001))  # the controller obeys in its next loop
         return Confirmation(False, f"not confirmed within {deadline_s:g} s: {reason}")
 
     def stop_now(self) -> None:
@@ -168,11 +177,12 @@ class MoteusCan(Driver):
 
         Raises
         ------
-        DeviceError : it is absent, has another register map, shares its number, or holds a setting that cannot be
-            driven or that contradicts the bench file; `DeviceFault` if it is in fault.
+        DeviceError : it is absent, has another register map, shares its number, or holds a setting with which it cannot
+            be driven or that contradicts the bench file.
+        DeviceFault : it is in fault.
         """
         self._connect()
-        self._safe, self._timeout_mode_before = False, None
+        self._safe, self._original_timeout_mode = False, None
         self._exchange.begin()
         self._identify()
         if self.reported_mode == OperatingMode.FAULT and not self.settings.reset_fault_at_start:
@@ -187,22 +197,22 @@ class MoteusCan(Driver):
         timeout_mode = self._configuration.read(conf.TIMEOUT_MODE)
         if timeout_mode != conf.TIMEOUT_STOPPED:
             self._configuration.write(conf.TIMEOUT_MODE, conf.TIMEOUT_STOPPED)
-            self._timeout_mode_before = timeout_mode
+            self._original_timeout_mode = timeout_mode
         self._heard_until = self._clock.now() + self.settings.host_silence_s
 
     def close(self) -> None:
         """Stop listening and close the bus; the time-out mode of a safe controller is restored."""
         if self._connected:
-            if self._safe and self._timeout_mode_before is not None:
+            if self._safe and self._original_timeout_mode is not None:
                 with suppress(DeviceError):  # the controller is safe; a changed time-out mode does no harm
-                    self._configuration.write(conf.TIMEOUT_MODE, self._timeout_mode_before)
+                    self._configuration.write(conf.TIMEOUT_MODE, self._original_timeout_mode)
             self._connected = False
-            self._port.listen_fd(self._from, None)
+            self._port.listen_fd(self._answer_identifier, None)
             self._port.close()
 
     @classmethod
     def far_end(cls, settings: MoteusSettings, role: str, physics: Physics) -> CanEmulator:
-        """A controller of this number that turns the bench's motor."""
+        """Return an emulated controller of this number that turns the bench's motor."""
         from leactl_plugins.moteus_can.emulator import MoteusEmulator
 
         return MoteusEmulator(
@@ -213,7 +223,7 @@ class MoteusCan(Driver):
         )
 
     def identity(self) -> Identity:
-        """Model number, serial number as `moteus_tool --info` prints it, and firmware, as read when it was opened."""
+        """Return model number, serial number as `moteus_tool --info` prints it, and firmware, as read at `open`."""
         return self._identity
 
     # -- one cycle ---------------------------------------------------------------------------------------------------
@@ -225,7 +235,7 @@ class MoteusCan(Driver):
 
     @property
     def streams(self) -> tuple[StreamSpec, ...]:
-        """The bus voltage and the board's temperature, queried at their own rate."""
+        """Stream of the bus voltage and the board's temperature, which are queried at their own rate."""
         channels = (
             ChannelSpec("vbus", "bus_voltage", self.role, self.name, "DC link voltage"),
             ChannelSpec("drive_temperature", "drive_temperature", self.role, self.name, "temperature of the board"),
@@ -237,7 +247,7 @@ class MoteusCan(Driver):
         """Whether the controller reports position mode, and commands that expire after the demanded time."""
         return (
             self._mode is not Mode.OFF
-            and self._prepared
+            and self._is_prepared
             and self.reported_mode == OperatingMode.POSITION
             and abs(self._reported_timeout - self.settings.host_silence_s) <= conf.READ_BACK_TOLERANCE
         )
@@ -264,21 +274,21 @@ class MoteusCan(Driver):
 
         Raises
         ------
-        InputError : not finite, or above the controller's limit, at which it would clip the demand.
+        InputError : not finite, or beyond the controller's limits, to which it would clip the demand.
         """
         if self._reference == CURRENT:
-            low, high, units, where = -self._most_current, self._most_current, "A", conf.MAX_CURRENT
+            low, high, units, source = -self._highest_current, self._highest_current, "A", conf.MAX_CURRENT
         elif self._reference == VELOCITY:
-            most = TURN * self._most_turns_s
-            low, high, units, where = -most, most, "rad/s", conf.MAX_VELOCITY
+            highest_velocity = TURN * self._highest_turns_per_s
+            low, high, units, source = -highest_velocity, highest_velocity, "rad/s", conf.MAX_VELOCITY
         else:
-            low, high = sorted((self._lowest_turns * self._turn, self._highest_turns * self._turn))
-            units, where = "rad", f"{conf.POSITION_MIN}, {conf.POSITION_MAX} and single precision"
+            low, high = sorted((self._lowest_turns * self._rad_per_turn, self._highest_turns * self._rad_per_turn))
+            units, source = "rad", f"{conf.POSITION_MIN}, {conf.POSITION_MAX} and single precision"
         if not low <= value <= high:
             raise InputError(
-                f"{self.name}: a demand of {value:g} {units} is outside {low:g} to {high:g} {units} ({where})"
+                f"{self.name}: a demand of {value:g} {units} is outside {low:g} to {high:g} {units} ({source})"
             )
-        self._value = value
+        self._demanded_value = value
 
     def begin_cycle(self) -> None:
         """Send this cycle's command and the query of the readings in one frame.
@@ -286,20 +296,22 @@ class MoteusCan(Driver):
         Commands keep the controller in operation: one is sent only after a supervised cycle.
         """
         command = b""
-        if self._mode is not Mode.OFF and self._prepared:
+        if self._mode is not Mode.OFF and self._is_prepared:
             command = self._demand() if self._supervised else b""
         elif self.reported_mode not in (OperatingMode.STOPPED, OperatingMode.FAULT):  # a stop would clear a fault
             command = STOP
         elif self._mode is not Mode.OFF and math.isnan(self._timeout_mode):
             self._read_timeout_mode()
         # at most every second query, so that the time-out is reported as well
-        with_supply = self._with_supply and not self._had_supply and (self._mode is Mode.OFF or self.engaged)
-        self._supervised, self._had_supply = False, with_supply
-        self._with_supply = self._with_supply and not with_supply
-        self._exchange.ask(command, WITH_SUPPLY if with_supply else STATUS)
+        asks_supply = (
+            self._asks_supply_next and not self._asked_supply_last and (self._mode is Mode.OFF or self.engaged)
+        )
+        self._supervised, self._asked_supply_last = False, asks_supply
+        self._asks_supply_next = self._asks_supply_next and not asks_supply
+        self._exchange.ask(command, WITH_SUPPLY if asks_supply else STATUS)
 
     def end_cycle(self, deadline: float) -> None:
-        """Collect the readings; NaN if they did not arrive.
+        """Collect the readings; they are NaN if they did not arrive.
 
         Raises
         ------
@@ -307,25 +319,25 @@ class MoteusCan(Driver):
         NoAnswer : it does not answer, or did not enter operation in time.
         """
         values = self.values
-        came = self._port.pump_until(self._exchange.came, deadline)
-        values[0], values[1], values[2] = self._followed
-        self._followed = [NAN, NAN, NAN]
+        has_answered = self._port.pump_until(self._exchange.came, deadline)
+        values[0], values[1], values[2] = self._references_in_force
+        self._references_in_force = [NAN, NAN, NAN]
         if self._mode is not Mode.OFF:
-            self._followed[self._reference] = self._value
+            self._references_in_force[self._reference] = self._demanded_value
         now, engaged = self._clock.now(), self.engaged
-        if came:
-            answer = self._answer
-            values[3] = self.settings.sign * answer[Register.Q_CURRENT] / AMPLITUDE
-            values[4] = answer[Register.VELOCITY] * self._turn
-            values[5] = answer[Register.POSITION] * self._turn
+        if has_answered:
+            answer = self._last_answer
+            values[3] = self.settings.sign * answer[Register.Q_CURRENT] / AMPLITUDE_PER_Q_AXIS
+            values[4] = answer[Register.VELOCITY] * self._rad_per_turn
+            values[5] = answer[Register.POSITION] * self._rad_per_turn
             values[6] = 1.0 if engaged else 0.0
         else:
             self._exchange.give_up()
             values[3:7] = [NAN] * 4
         if engaged:
             self._enable_by = -math.inf  # from now on, only the controller itself can leave operation
-            if came:
-                self._check_torque_per_ampere(self._answer)
+            if has_answered:
+                self._check_torque_per_ampere(self._last_answer)
         self._check_operation(now, engaged)
 
     def feed(self) -> None:
@@ -334,23 +346,23 @@ class MoteusCan(Driver):
         now = self._clock.now()
         if now >= self._supply_due:
             self._supply_due = now + self.settings.supply_period_s
-            self._with_supply = True
+            self._asks_supply_next = True
 
     def take(self) -> list[Row]:
-        """Bus voltages and temperatures since the last call."""
+        """Return the bus voltages and temperatures since the last call."""
         rows, self._rows = self._rows, []
         return rows
 
     def notices(self) -> list[str]:
-        """Notices: irregular and unreadable answers, changes of what limits the output, and a full bus."""
+        """Return notices of irregular and unreadable answers, of changed limits of the output, and of a full bus."""
         lines, now = [], self._clock.now()
         if now >= self._quiet_until or self._mode is Mode.OFF:
             lines += self._exchange.notices()
-            if self._limited != self._reported_limit:
-                self._reported_limit = self._limited
+            if self._limit_code != self._reported_limit_code:
+                self._reported_limit_code = self._limit_code
                 lines.append(
-                    f"the output is limited by {limit_text(self._limited)}"
-                    if self._limited
+                    f"the output is limited by {limit_text(self._limit_code)}"
+                    if self._limit_code
                     else "nothing limits the output any more"
                 )
             self._quiet_until = now + NOTICE_PERIOD_S if lines else self._quiet_until
@@ -359,37 +371,37 @@ class MoteusCan(Driver):
     # -- entering operation ------------------------------------------------------------------------------------------
 
     def _follow(self, mode: Mode) -> None:
-        """Change to a mode with zero demand; earlier reports of the controller belong to the mode before."""
-        self._mode, self._value = mode, 0.0
+        """Change to a mode with zero demand; earlier reports of the controller belong to the previous mode."""
+        self._mode, self._demanded_value = mode, 0.0
         self._reference = REFERENCES.get(mode, ANGLE)
         self._enable_by, self._supervised = math.inf, False
-        self._prepared, self.reported_mode, self._reported_timeout = False, None, NAN
+        self._is_prepared, self.reported_mode, self._reported_timeout = False, None, NAN
         self._timeout_mode = NAN
         self._configuration.begin_reading(conf.TIMEOUT_MODE)
 
     def _read_timeout_mode(self) -> None:
         """Continue to query the time-out mode, which a controller loses when it restarts."""
-        read = self._configuration.continue_reading()
-        self._timeout_mode = NAN if read is None else read
+        timeout_mode = self._configuration.continue_reading()
+        self._timeout_mode = NAN if timeout_mode is None else timeout_mode
 
     def _demand(self) -> bytes:
-        """Command of the mode; until the controller is in operation, the demanded angle is the present one."""
+        """Return the command of the mode; before operation, the demanded angle is the present one."""
         if self._reference == ANGLE and not self.engaged:
-            if not abs(self._turns) <= FARTHEST_TURNS:
-                return b""  # until the position of the shaft is known
-            self._value = self._turns * self._turn
-        position, velocity, torque, loop = NAN, 0.0, 0.0, 1.0
+            if not abs(self._shaft_turns) <= FARTHEST_TURNS:
+                return b""  # no command until the position of the shaft is known
+            self._demanded_value = self._shaft_turns * self._rad_per_turn
+        position, velocity, torque, loop_scale = NAN, 0.0, 0.0, 1.0
         if self._reference == CURRENT:
-            torque, loop = self._value * self._torque_per_ampere, 0.0
+            torque, loop_scale = self._demanded_value * self._torque_per_ampere, 0.0
         elif self._reference == VELOCITY:
-            velocity = self._value / self._turn
+            velocity = self._demanded_value / self._rad_per_turn
         else:
-            position = self._value / self._turn
+            position = self._demanded_value / self._rad_per_turn
         return (
             FOLLOW_POSITION
-            + write(Register.COMMAND_POSITION, [position, velocity, torque, loop, loop, NAN])
+            + write(Register.COMMAND_POSITION, [position, velocity, torque, loop_scale, loop_scale, NAN])
             + write(Register.COMMAND_TIMEOUT, [self.settings.host_silence_s, -1.0, -1.0])  # no limits of a profile
-            + write(Register.COMMAND_ILIMIT_SCALE, [loop], Resolution.INT8)
+            + write(Register.COMMAND_ILIMIT_SCALE, [loop_scale], Resolution.INT8)
         )
 
     def _check_operation(self, now: float, engaged: bool) -> None:
@@ -405,7 +417,7 @@ class MoteusCan(Driver):
         if self._mode is Mode.OFF or engaged:
             return
         state = f"mode {self.reported_mode}, commands valid for {self._reported_timeout:g} s"
-        if self._prepared and self.reported_mode == OperatingMode.TIMEOUT:
+        if self._is_prepared and self.reported_mode == OperatingMode.TIMEOUT:
             raise DeviceFault(
                 f"{self.name}: no command came for {self.settings.watchdog_ms} ms and it has stopped by itself: {state}"
             )
@@ -417,10 +429,10 @@ class MoteusCan(Driver):
                 " when it was opened: it has restarted, or another host has set it; open it again"
             )
         if now > self._enable_by:
-            where = "" if abs(self._turns) <= FARTHEST_TURNS else f"; the shaft is at {self._turns:g} turns"
+            hint = "" if abs(self._shaft_turns) <= FARTHEST_TURNS else f"; the shaft is at {self._shaft_turns:g} turns"
             if math.isnan(self._timeout_mode):
-                where += f"; {conf.TIMEOUT_MODE} was not answered"
-            raise NoAnswer(f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {state}{where}")
+                hint += f"; {conf.TIMEOUT_MODE} was not answered"
+            raise NoAnswer(f"{self.name}: not in operation after {ENABLE_TIME_S:g} s: {state}{hint}")
 
     def _check_torque_per_ampere(self, answer: Mapping[int, float]) -> None:
         """Raise DeviceError if the controller's torque per ampere differs from the one by which currents are sent.
@@ -428,52 +440,63 @@ class MoteusCan(Driver):
         The controller computes its torque from its current, so their ratio is the factor by which it divides demands.
         """
         current, torque = answer[Register.Q_CURRENT], answer[Register.TORQUE]
-        if not abs(current) >= LEAST_COMPARED_A:
+        if not abs(current) >= LEAST_COMPARED_AMPLITUDE_A:
             return
-        self._currents += abs(current)
-        self._torques += math.copysign(1.0, current) * torque
-        self._samples += 1
-        if self._samples < TORQUE_SAMPLES:
+        self._current_sum += abs(current)
+        self._torque_sum += math.copysign(1.0, current) * torque
+        self._sample_count += 1
+        if self._sample_count < COMPARED_SAMPLES:
             return
-        shown, used = self._torques / self._currents, abs(self._torque_per_ampere) / AMPLITUDE
-        self._currents, self._torques, self._samples = 0.0, 0.0, 0
-        if abs(shown - used) > TORQUE_RATIO_TOLERANCE * used:
+        reported_ratio, used_ratio = (
+            self._torque_sum / self._current_sum,
+            abs(self._torque_per_ampere) / AMPLITUDE_PER_Q_AXIS,
+        )
+        self._current_sum, self._torque_sum, self._sample_count = 0.0, 0.0, 0
+        if abs(reported_ratio - used_ratio) > TORQUE_RATIO_TOLERANCE * used_ratio:
             raise DeviceError(
-                f"{self.name}: shows {shown:.4g} N*m per A of amplitude at its output, {used:.4g} was expected of"
-                f" {conf.KV} and {conf.RATIO}: are its motor.rotation_ values set?"
+                f"{self.name}: shows {reported_ratio:.4g} N*m per A of amplitude at its output, {used_ratio:.4g} was"
+                f" expected of {conf.KV} and {conf.RATIO}: are its motor.rotation_ values set?"
             )
 
     # -- set-up ------------------------------------------------------------------------------------------------------
 
     def _connect(self) -> None:
+        """Open the bus and listen to the controller; open it again if it was lost."""
         if not self._connected:
             self._port.open()
             self._connected = True
-            self._port.listen_fd(self._from, self._on_frame)
+            self._port.listen_fd(self._answer_identifier, self._on_frame)
         elif self._port.bus is None:
             self._port.reopen()
 
     def _identify(self) -> None:
-        """Check that one controller of this number answers and has the known register map."""
+        """Check that one controller of this number answers and has the known register map.
+
+        Raises
+        ------
+        NoAnswer : no controller of this number reports its identity.
+        DeviceError : two controllers answer, or the register map is another one.
+        """
         now = self._clock.now
         timeout = self.settings.answer_timeout_s
-        tries = (self._exchange.is_answered(b"", IDENTITY_QUERY, now() + timeout) for _ in range(MOST_TRIES))
-        if not any(tries):
+        attempts = (self._exchange.is_answered(b"", IDENTITY_QUERY, now() + timeout) for _ in range(MOST_TRIES))
+        if not any(attempts):
             raise NoAnswer(
                 f"{self.name}: node {self.settings.node} does not tell who it is; number, power, bit rates of 1 and"
                 " 5 Mbit/s, a bus with options: {fd: true}?"
             )
-        self._identity = identity_of(self._answer)
-        registers = int(self._answer[Register.REGISTER_MAP_VERSION])
-        if registers != MAP_VERSION:
+        self._identity = identity_of(self._last_answer)
+        map_version = int(self._last_answer[Register.REGISTER_MAP_VERSION])
+        if map_version != MAP_VERSION:
             raise DeviceError(
-                f"{self.name}: firmware {self._identity.firmware} has register map {registers}; {MAP_VERSION} was"
+                f"{self.name}: firmware {self._identity.firmware} has register map {map_version}; {MAP_VERSION} was"
                 " expected"
             )
         self._port.pump_until((False,), now() + SECOND_ANSWER_S)
         self._expect_one_controller()
 
     def _expect_one_controller(self) -> None:
+        """Raise DeviceError if another controller has the same number."""
         if self._exchange.second_controller:
             raise DeviceError(
                 f"{self.name}: two controllers answer as node {self.settings.node}; connect one of them alone and give"
@@ -485,30 +508,36 @@ class MoteusCan(Driver):
 
         Raises
         ------
-        DeviceError : the controller is not calibrated, is configured for another kind of control, or differs.
+        DeviceError : the controller is not calibrated, is configured for another kind of control, or differs from the
+            bench file.
         """
-        get = self._configuration.read
+        read = self._configuration.read
         for parameter, reason in ZERO_PARAMETERS.items():
-            if (value := get(parameter)) != 0.0:
+            if (value := read(parameter)) != 0.0:
                 raise DeviceError(f"{self.name}: {parameter} is {value:g}; 0 was expected: {reason}")
-        positive = {
-            parameter: get(parameter) for parameter in (conf.KV, conf.RATIO, conf.MAX_CURRENT, conf.MAX_VELOCITY)
+        positive_values = {
+            parameter: read(parameter) for parameter in (conf.KV, conf.RATIO, conf.MAX_CURRENT, conf.MAX_VELOCITY)
         }
-        for parameter, value in positive.items():
+        for parameter, value in positive_values.items():
             if not (math.isfinite(value) and value > 0.0):
                 raise DeviceError(
                     f"{self.name}: {parameter} is {value:g}; more than 0 was expected: calibrate it first"
                 )
-        constant, most = TORQUE_FACTOR / positive[conf.KV], positive[conf.MAX_CURRENT]
+        torque_constant, highest_amplitude = TORQUE_FACTOR / positive_values[conf.KV], positive_values[conf.MAX_CURRENT]
         for setting, expected, value in (
-            ("torque_constant_Nm_per_A", self.settings.torque_constant_Nm_per_A, constant),
-            ("max_current_A", self.settings.max_current_A, most),
+            ("torque_constant_Nm_per_A", self.settings.torque_constant_Nm_per_A, torque_constant),
+            ("max_current_A", self.settings.max_current_A, highest_amplitude),
         ):
             if expected is not None and not abs(value - expected) <= STATED_VALUE_TOLERANCE * expected:
                 raise DeviceError(f"{self.name}: holds {value:.5g} for {setting}; the bench file says {expected:g}")
-        self._torque_per_ampere = self.settings.sign * constant / positive[conf.RATIO] * AMPLITUDE
-        self._most_current, self._most_turns_s = most / AMPLITUDE, positive[conf.MAX_VELOCITY]
-        low, high = get(conf.POSITION_MIN), get(conf.POSITION_MAX)
+        self._torque_per_ampere = (
+            self.settings.sign * torque_constant / positive_values[conf.RATIO] * AMPLITUDE_PER_Q_AXIS
+        )
+        self._highest_current, self._highest_turns_per_s = (
+            highest_amplitude / AMPLITUDE_PER_Q_AXIS,
+            positive_values[conf.MAX_VELOCITY],
+        )
+        low, high = read(conf.POSITION_MIN), read(conf.POSITION_MAX)
         self._lowest_turns = max(-FARTHEST_TURNS, low) if math.isfinite(low) else -FARTHEST_TURNS
         self._highest_turns = min(FARTHEST_TURNS, high) if math.isfinite(high) else FARTHEST_TURNS
 
@@ -527,14 +556,15 @@ class MoteusCan(Driver):
             self._take_answer(reply.values)
 
     def _take_answer(self, values: dict[int, float]) -> None:
-        self._answer = values
+        """Store the answer to the last query, by register."""
+        self._last_answer = values
         self._heard_until = self._clock.now() + self.settings.host_silence_s
         self.reported_mode, self.fault = int(values[Register.MODE]), int(values[Register.FAULT])
         self._reported_timeout = values.get(Register.COMMAND_TIMEOUT, self._reported_timeout)
-        self._turns = values.get(Register.POSITION, NAN)
+        self._shaft_turns = values.get(Register.POSITION, NAN)
         if Register.VOLTAGE in values:
             supply = (values[Register.VOLTAGE], values[Register.TEMPERATURE])
             self._rows.append(Row(f"{self.name}_supply", self._clock.now(), supply))
         if self.reported_mode == OperatingMode.STOPPED:
-            self._prepared = self._timeout_mode == conf.TIMEOUT_STOPPED
-        self._limited = 0 if self.reported_mode == OperatingMode.FAULT else self.fault
+            self._is_prepared = self._timeout_mode == conf.TIMEOUT_STOPPED
+        self._limit_code = 0 if self.reported_mode == OperatingMode.FAULT else self.fault

@@ -18,8 +18,8 @@ TO_AMPLITUDE, TURN = math.sqrt(2.0 / 3.0), 2.0 * math.pi
 LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
 LAYOUTS = (struct.Struct("<b"), struct.Struct("<h"), struct.Struct("<i"), struct.Struct("<f"))
 LOWEST_CODES = (-128, -32768, -2147483648)
-LEAST_ROOM = 23  # bytes of an answer that must be free for the next subframe to be obeyed
-ENABLE_S = 0.004  # time for the gate driver and the offsets of the current sensors
+LEAST_FREE_BYTES = 23  # of an answer, without which the next subframe is not obeyed
+ENABLE_S = 0.004  # time to start the gate driver and to measure the offsets of the current sensors
 UNKNOWN_REGISTER, NOT_WRITEABLE, NO_ROOM, NO_MODE = 1, 2, 2, 3
 OVER_VOLTAGE, OVER_TEMPERATURE, OUTSIDE_LIMIT, UNDER_VOLTAGE, MOTOR_DRIVER = 34, 38, 39, 40, 33
 LIMIT_VELOCITY, LIMIT_CURRENT, LIMIT_TEMPERATURE, LIMIT_TORQUE = 96, 99, 100, 102
@@ -79,8 +79,9 @@ class MoteusEmulator:
         self._commanded = dict(DEFAULT_COMMANDS)
         self._commanded_mode = int(OperatingMode.STOPPED)  # of the last command
         self._expires = self._enabled_at = math.inf
-        self._wrote_mode = self._is_asked = False  # whether the present frame wrote the mode, and requests an answer
-        self._sensed = (0.0, 0.0, 0.0)  # current, velocity and angle at the time of the present frame
+        # whether the present frame wrote the mode, and whether it requests an answer
+        self._wrote_mode = self._answer_requested = False
+        self._machine_state = (0.0, 0.0, 0.0)  # current, velocity and angle at the time of the present frame
         self._line, self._text = b"", b""
 
     # -- time --------------------------------------------------------------------------------------------------------
@@ -88,17 +89,17 @@ class MoteusEmulator:
     @property
     def due(self) -> float:
         """Time at which the command expires, or operation begins [s]."""
-        runs_out = self._expires if self.mode == OperatingMode.POSITION else math.inf
-        return math.inf if self.frozen else min(runs_out, self._enabled_at)
+        expires_at = self._expires if self.mode == OperatingMode.POSITION else math.inf
+        return math.inf if self.frozen else min(expires_at, self._enabled_at)
 
     def tick(self, now: float) -> list[Frame]:
-        """Let commands expire and operation begin; a controller sends nothing by itself."""
+        """Let commands expire and operation begin; return no frames, since a controller sends nothing by itself."""
         if self.frozen:
             return []
         if now >= self._enabled_at:
             self._enabled_at = math.inf
             if self.mode in ENABLING_MODES:
-                self._enter()
+                self._enter_operation()
         if self.mode == OperatingMode.POSITION and now >= self._expires:  # commands expire in no other mode
             self.mode = int(OperatingMode.TIMEOUT)
             self._expire_command()
@@ -113,6 +114,7 @@ class MoteusEmulator:
             self._machine.command("off", 0.0)
 
     def _look_for_faults(self) -> None:
+        """Enter fault if voltage or temperature is out of range in operation."""
         if self.mode in (OperatingMode.STOPPED, OperatingMode.FAULT):
             return
         voltage = self._machine.bus_voltage
@@ -124,6 +126,7 @@ class MoteusEmulator:
             self._fail(OVER_TEMPERATURE)
 
     def _fail(self, code: int) -> None:
+        """Enter fault with this code."""
         self.mode, self.fault_code = int(OperatingMode.FAULT), code
         self._enabled_at = self._expires = math.inf
         self._machine.command("off", 0.0)
@@ -131,61 +134,61 @@ class MoteusEmulator:
     # -- frames ------------------------------------------------------------------------------------------------------
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Receive one frame from the bus; returns the answer."""
+        """Receive one frame from the bus; return the answer."""
         source, destination = frame.identifier >> 8 & 0xFF, frame.identifier & 0xFF
         if self.frozen or not isinstance(frame, FdFrame) or destination not in (self.node, 0x7F):
             return []
         self.tick(now)
         self._wrote_mode = False
-        self._is_asked = bool(source & 0x80)
-        self._sensed = self._machine.read()
+        self._answer_requested = bool(source & 0x80)
+        self._machine_state = self._machine.read()
         answer = self._obey(frame.data)
         if self._wrote_mode:
             self._take_command(now)
-        if not self._is_asked:
+        if not self._answer_requested:
             return []
         length = next((length for length in LENGTHS if length >= len(answer)), LENGTHS[-1])
         return [FdFrame(self.node << 8 | source & 0x7F, answer.ljust(length, b"\x50"))]
 
     def _obey(self, data: bytes) -> bytes:
-        """Obey the subframes in order; returns the answer, as far as the frame could be read."""
+        """Obey the subframes in order; return the answer, as far as the frame can be read."""
         answer, offset = bytearray(), 0
         try:
-            while offset < len(data) and len(answer) <= LENGTHS[-1] - LEAST_ROOM:
+            while offset < len(data) and len(answer) <= LENGTHS[-1] - LEAST_FREE_BYTES:
                 kind, offset = data[offset], offset + 1
                 if kind < 0x20:
-                    offset = self._registers(kind, data, offset, answer)
+                    offset = self._obey_registers(kind, data, offset, answer)
                 elif kind in (0x40, 0x42):
-                    offset = self._tunnel(kind, data, offset, answer)
+                    offset = self._obey_tunnel(kind, data, offset, answer)
                 elif kind != 0x50:
                     break
         except (IndexError, struct.error):
             return bytes(answer)
         return bytes(answer)
 
-    def _tunnel(self, kind: int, data: bytes, offset: int, answer: bytearray) -> int:
+    def _obey_tunnel(self, kind: int, data: bytes, offset: int, answer: bytearray) -> int:
         """Receive text, or a poll for text; if no answer is requested, no text is taken from the buffer."""
         channel, offset = _varuint(data, offset)
         count, offset = _varuint(data, offset)
-        most = LENGTHS[-1] - LEAST_ROOM
+        most_bytes = LENGTHS[-1] - LEAST_FREE_BYTES
         if kind == 0x40:
             if offset + count > len(data):
                 raise IndexError
             self._read_text(data[offset : offset + count])
             offset += count
         else:
-            most = min(count, most)
-        if self._is_asked:
-            part, self._text = self._text[:most], self._text[most:]
-            answer += bytes((0x41, channel, len(part))) + part
+            most_bytes = min(count, most_bytes)
+        if self._answer_requested:
+            text, self._text = self._text[:most_bytes], self._text[most_bytes:]
+            answer += bytes((0x41, channel, len(text))) + text
         return offset
 
-    def _registers(self, kind: int, data: bytes, offset: int, answer: bytearray) -> int:
+    def _obey_registers(self, kind: int, data: bytes, offset: int, answer: bytearray) -> int:
         """Write or read the registers of one subframe; an unknown register ends the reading of the frame."""
         resolution, count, head = kind >> 2 & 3, kind & 3, b""
         if not count:
             count, offset = _varuint(data, offset)
-            head = _varuint_of(count)
+            head = _encoded_varuint(count)
         register, offset = _varuint(data, offset)
         layout = LAYOUTS[resolution]
         if kind < 0x10:
@@ -193,25 +196,26 @@ class MoteusEmulator:
                 (raw,) = layout.unpack_from(data, offset)
                 offset += layout.size
                 if error := self._write(number, _decode(number, resolution, raw)):
-                    answer += bytes((0x30,)) + _varuint_of(number) + bytes((error,))
+                    answer += bytes((0x30,)) + _encoded_varuint(number) + bytes((error,))
             return offset
-        if not self._is_asked:
+        if not self._answer_requested:
             return offset
-        head = bytes((kind + 0x10,)) + head + _varuint_of(register)
+        head = bytes((kind + 0x10,)) + head + _encoded_varuint(register)
         if len(answer) + len(head) + count * layout.size > LENGTHS[-1]:
-            answer += bytes((0x31,)) + _varuint_of(register) + bytes((NO_ROOM,))
+            answer += bytes((0x31,)) + _encoded_varuint(register) + bytes((NO_ROOM,))
             return offset
         values = b""
         for number in range(register, register + count):
             value = self._read(number, resolution)
             if value is None:
-                answer += bytes((0x31,)) + _varuint_of(number) + bytes((UNKNOWN_REGISTER,))
+                answer += bytes((0x31,)) + _encoded_varuint(number) + bytes((UNKNOWN_REGISTER,))
                 raise IndexError
             values += layout.pack(_encode(number, resolution, value))
         answer += head + values
         return offset
 
     def _write(self, register: int, value: float) -> int:
+        """Write a register; return an error code, 0 if there is none."""
         if register == Register.MODE:
             if not 0 <= value < len(MODES):
                 return NO_MODE
@@ -224,21 +228,22 @@ class MoteusEmulator:
         return 0
 
     def _read(self, register: int, resolution: int) -> float | None:
+        """Return the value of a register; None if there is no such register in this resolution."""
         if register in DEFAULT_COMMANDS:
             return self._commanded[Register(register)]
         if register in (Register.POSITION, Register.VELOCITY, Register.TORQUE, Register.Q_CURRENT):
-            current, velocity, angle = self._sensed
+            current, velocity, angle = self._machine_state
             amplitude = current * TO_AMPLITUDE
-            flows = self.mode in (*COMMAND_MODES, OperatingMode.TIMEOUT)
+            current_flows = self.mode in (*COMMAND_MODES, OperatingMode.TIMEOUT)
             return {
                 Register.POSITION: angle / TURN,
                 Register.VELOCITY: velocity / TURN,
-                Register.TORQUE: amplitude * self._torque_constant if flows else 0.0,
+                Register.TORQUE: amplitude * self._torque_constant if current_flows else 0.0,
                 Register.Q_CURRENT: amplitude,
             }[Register(register)]
         if register == Register.VOLTAGE:
             return self._machine.bus_voltage
-        plain: dict[int, float] = {
+        values: dict[int, float] = {
             Register.MODE: self.mode,
             Register.FAULT: self.fault_code,
             Register.TEMPERATURE: self.temperature,
@@ -252,7 +257,7 @@ class MoteusEmulator:
         }
         if register in integers:
             return integers[register] if resolution == 2 else None
-        return plain.get(register)
+        return values.get(register)
 
     # -- commands ----------------------------------------------------------------------------------------------------
 
@@ -268,58 +273,66 @@ class MoteusEmulator:
             if self.mode == OperatingMode.STOPPED:
                 self.mode, self._enabled_at = ENABLING_MODES[0], now + ENABLE_S
             elif self.mode in COMMAND_MODES:
-                self._enter()
+                self._enter_operation()
 
-    def _enter(self) -> None:
+    def _enter_operation(self) -> None:
         """Follow the command; a position mode that begins outside its bounds is a fault."""
         turns = self._machine.read()[2] / TURN
         low, high = self.parameters["servopos.position_min"], self.parameters["servopos.position_max"]
-        begins = self.mode != OperatingMode.POSITION == self._commanded_mode
-        if begins and (turns < low or turns > high):
+        is_entered = self.mode != OperatingMode.POSITION == self._commanded_mode
+        if is_entered and (turns < low or turns > high):
             self._fail(OUTSIDE_LIMIT)
             return
         self.mode = self._commanded_mode
-        self._drive()
+        self._follow_command()
 
-    def _drive(self) -> None:
+    def _follow_command(self) -> None:
         """Let the motor follow the command within the limits; a limit that acts sets its fault code."""
         commanded, self.fault_code = self._commanded, 0
         position, velocity = commanded[Register.COMMAND_POSITION], commanded[Register.COMMAND_VELOCITY]
         if self.mode == OperatingMode.CURRENT:
-            self._machine.command("current", self._limit(commanded[Register.COMMAND_Q_CURRENT]) / TO_AMPLITUDE)
+            self._machine.command(
+                "current", self._limited_current(commanded[Register.COMMAND_Q_CURRENT]) / TO_AMPLITUDE
+            )
         elif commanded[Register.COMMAND_KP_SCALE] == 0.0 and commanded[Register.COMMAND_KD_SCALE] == 0.0:
-            self._machine.command("current", self._current() / TO_AMPLITUDE)
+            self._machine.command("current", self._demanded_current() / TO_AMPLITUDE)
         elif math.isnan(position):
-            most = self.parameters["servo.max_velocity"]
-            if abs(velocity) > most:
+            highest_velocity = self.parameters["servo.max_velocity"]
+            if abs(velocity) > highest_velocity:
                 self.fault_code = LIMIT_VELOCITY
-            velocity = 0.0 if math.isnan(velocity) else max(-most, min(most, velocity))
+            velocity = 0.0 if math.isnan(velocity) else max(-highest_velocity, min(highest_velocity, velocity))
             self._machine.command("velocity", velocity * TURN)
         else:
             low, high = self.parameters["servopos.position_min"], self.parameters["servopos.position_max"]
             position = low if position < low else high if position > high else position
             self._machine.command("angle", position * TURN)
 
-    def _current(self) -> float:
-        """Current amplitude for the demanded torque."""
+    def _demanded_current(self) -> float:
+        """Return the current amplitude [A] for the demanded torque."""
         torque = self._commanded[Register.COMMAND_FEEDFORWARD_TORQUE]
-        most = self._commanded[Register.COMMAND_MAX_TORQUE]
-        if abs(torque) > most:
-            torque, self.fault_code = math.copysign(most, torque), LIMIT_TORQUE
-        return self._limit(torque / self._torque_constant)
+        highest_torque = self._commanded[Register.COMMAND_MAX_TORQUE]
+        if abs(torque) > highest_torque:
+            torque, self.fault_code = math.copysign(highest_torque, torque), LIMIT_TORQUE
+        return self._limited_current(torque / self._torque_constant)
 
-    def _limit(self, current: float) -> float:
-        """Current amplitude within the limits of configuration and temperature."""
-        most, code = self.parameters["servo.max_current_A"], LIMIT_CURRENT
+    def _limited_current(self, amplitude: float) -> float:
+        """Return a current amplitude [A] within the limits of configuration and temperature."""
+        highest_amplitude, code = self.parameters["servo.max_current_A"], LIMIT_CURRENT
         margin = self.parameters["servo.temperature_margin"]
-        hot = (self.temperature - self.parameters["servo.fault_temperature"] + margin) / margin
-        if hot > 0.0:
+        derating = (self.temperature - self.parameters["servo.fault_temperature"] + margin) / margin
+        if derating > 0.0:
             code = LIMIT_TEMPERATURE
-            most = max(0.0, min(most, most + hot * (self.parameters["servo.derate_current_A"] - most)))
-        if abs(current) <= most:
-            return current
+            highest_amplitude = max(
+                0.0,
+                min(
+                    highest_amplitude,
+                    highest_amplitude + derating * (self.parameters["servo.derate_current_A"] - highest_amplitude),
+                ),
+            )
+        if abs(amplitude) <= highest_amplitude:
+            return amplitude
         self.fault_code = code
-        return math.copysign(most, current)
+        return math.copysign(highest_amplitude, amplitude)
 
     @property
     def _torque_constant(self) -> float:
@@ -329,12 +342,14 @@ class MoteusEmulator:
     # -- text --------------------------------------------------------------------------------------------------------
 
     def _read_text(self, text: bytes) -> None:
+        """Obey the lines that are complete."""
         *lines, self._line = (self._line + text).replace(b"\r", b"\n").split(b"\n")
         for line in lines:
             if line.strip():
                 self._text += self._answer_to(line.decode("ascii", "replace").split()).encode("ascii") + b"\r\n"
 
     def _answer_to(self, words: list[str]) -> str:
+        """Obey a line of these words, and return its answer."""
         if len(words) < 3 or words[0] != "conf" or words[1] not in ("get", "set"):
             return "ERR unknown command"
         if words[2] not in self.parameters:
@@ -358,7 +373,7 @@ class MoteusEmulator:
         try:
             self.words = list(struct.unpack(">3I", base64.b64decode(text, validate=True)))
         except (NotBase64, struct.error):
-            return  # three words hold no other
+            return  # three words cannot hold another text
 
     # -- faults inside the drive -------------------------------------------------------------------------------------
 
@@ -380,6 +395,7 @@ class MoteusEmulator:
 
 
 def _varuint(data: bytes, offset: int) -> tuple[int, int]:
+    """Decode an integer; return it and the offset after it."""
     number = 0
     for shift in range(0, 35, 7):
         number |= (data[offset] & 0x7F) << shift
@@ -389,12 +405,14 @@ def _varuint(data: bytes, offset: int) -> tuple[int, int]:
     raise IndexError
 
 
-def _varuint_of(number: int) -> bytes:
-    low = bytes((number & 0x7F | (0x80 if number > 0x7F else 0),))
-    return low + _varuint_of(number >> 7) if number > 0x7F else low
+def _encoded_varuint(number: int) -> bytes:
+    """Encode an integer in groups of seven bits."""
+    first_byte = bytes((number & 0x7F | (0x80 if number > 0x7F else 0),))
+    return first_byte + _encoded_varuint(number >> 7) if number > 0x7F else first_byte
 
 
 def _decode(register: int, resolution: int, raw: float) -> float:
+    """Return the physical value or integer for the code of a register."""
     scales = SCALES.get(register)
     if resolution == 3 or scales is None:
         return raw
@@ -402,13 +420,13 @@ def _decode(register: int, resolution: int, raw: float) -> float:
 
 
 def _encode(register: int, resolution: int, value: float) -> float:
-    """Value as sent: clipped, not rounded, with the lowest code for NaN, as the firmware does."""
+    """Return the code of a value as the firmware does: clipped, not rounded, the lowest code for NaN."""
     if resolution == 3:
         return value
-    highest = -LOWEST_CODES[resolution] - 1
+    highest_code = -LOWEST_CODES[resolution] - 1
     if register not in SCALES:
-        wrapped = int(value) & (2 * highest + 1)
-        return wrapped - 2 * (highest + 1) if wrapped > highest else wrapped
+        wrapped = int(value) & (2 * highest_code + 1)
+        return wrapped - 2 * (highest_code + 1) if wrapped > highest_code else wrapped
     if math.isnan(value):
         return LOWEST_CODES[resolution]
-    return int(max(-highest, min(highest, value / SCALES[register][resolution])))
+    return int(max(-highest_code, min(highest_code, value / SCALES[register][resolution])))

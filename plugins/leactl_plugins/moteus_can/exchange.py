@@ -14,20 +14,20 @@ from leactl_plugins.moteus_can.multiplex import ControllerReply, Resolution, pad
 from leactl_plugins.moteus_can.registers import MODES, Register
 
 NUMBER_REGISTER = Register.PWM_PHASE_A
-LAST_NUMBER = 1 << 23  # whole numbers up to here are exact in single precision
-MOST_UNANSWERED = 64  # queries whose answers may still arrive
-LARGEST_TURNS = 32768.0  # of the controller's position
+LAST_NUMBER = 1 << 23  # whole numbers up to this are exact in single precision
+MOST_UNANSWERED_QUERIES = 64  # that are remembered, because their answers may still arrive
+LARGEST_TURNS = 32768.0  # of the position that a controller can report
 
 
 class RegisterQuery(NamedTuple):
     """A query: its subframes, and the registers that an answer has to hold, each once."""
 
     subframes: bytes
-    registers: frozenset[int]
+    registers: frozenset[int]  # their numbers
 
 
 def query(*parts: tuple[Register, int, Resolution]) -> RegisterQuery:
-    """Make a query of registers: for each part, the first register, their count, and their resolution."""
+    """Return a query of registers; each part is the first register, the number of registers, and their resolution."""
     registers = {number for first, count, _ in parts for number in range(first, first + count)}
     subframes = read(NUMBER_REGISTER) + b"".join(read(*part) for part in parts)
     return RegisterQuery(subframes, frozenset((NUMBER_REGISTER, *registers)))
@@ -38,9 +38,9 @@ class ControllerExchange:
 
     def __init__(self, port: CanPort, identifier: int) -> None:
         self._port, self._identifier = port, identifier
-        self._number, self._registers = 0, frozenset[int]()
+        self._number, self._awaited_registers = 0, frozenset[int]()
         self._unanswered: dict[float, bool] = {}  # by number: whether the answer was counted as lost
-        self._answered, self._answered_by = 0, b""
+        self._answered_number, self._answer_frame = 0, b""
         self.came = [False]  # whether the answer to the last query has arrived
         self.begin()
 
@@ -50,7 +50,7 @@ class ControllerExchange:
         self.unreadable, self._unreadable_reported, self._last_unreadable = 0, 0, ""
         self.second_controller = False
 
-    def ask(self, command: bytes, asked: RegisterQuery) -> None:
+    def ask(self, command: bytes, register_query: RegisterQuery) -> None:
         """Send a command, which may be empty, and a query; does not wait.
 
         Raises
@@ -58,17 +58,17 @@ class ControllerExchange:
         DeviceError : the bus is closed, full or gone, or carries classic frames only.
         """
         self._number = self._number % LAST_NUMBER + 1
-        self._registers, self.came[0] = asked.registers, False
+        self._awaited_registers, self.came[0] = register_query.registers, False
         self._unanswered[self._number] = False
-        if len(self._unanswered) > MOST_UNANSWERED:
+        if len(self._unanswered) > MOST_UNANSWERED_QUERIES:
             del self._unanswered[next(iter(self._unanswered))]
-        number = write(NUMBER_REGISTER, [float(self._number)])  # behind the mode, which resets this register
-        self._port.send_fd(self._identifier, pad(command + number + asked.subframes))
+        number = write(NUMBER_REGISTER, [float(self._number)])  # behind the command, whose mode resets this register
+        self._port.send_fd(self._identifier, pad(command + number + register_query.subframes))
 
-    def is_answered(self, command: bytes, asked: RegisterQuery, until: float) -> bool:
-        """Send a command and a query, and wait for the answer until `until` [s]; returns whether it came."""
-        self.ask(command, asked)
-        return self._port.pump_until(self.came, until)
+    def is_answered(self, command: bytes, register_query: RegisterQuery, deadline: float) -> bool:
+        """Send a command and a query, and wait for the answer until a deadline [s]; return whether it came."""
+        self.ask(command, register_query)
+        return self._port.pump_until(self.came, deadline)
 
     def give_up(self) -> None:
         """Count the answer to the last query as lost, unless it arrives later."""
@@ -76,7 +76,7 @@ class ControllerExchange:
         self._unanswered[self._number] = True
 
     def accept(self, reply: ControllerReply, data: bytes) -> bool:
-        """Take a reply; returns whether it answers the last query, and counts it if it does not."""
+        """Take a reply; return whether it answers the last query, and count it if it does not."""
         number = reply.values.get(NUMBER_REGISTER, math.nan)
         if self.came[0] or number != self._number:
             self._count_other(number, data)
@@ -84,7 +84,7 @@ class ControllerExchange:
         if fault := self._fault_of(reply):
             self.count_unreadable(fault)
             return False
-        self._answered, self._answered_by = self._number, data
+        self._answered_number, self._answer_frame = self._number, data
         self._unanswered.pop(self._number, None)
         self.came[0] = True
         return True
@@ -95,7 +95,7 @@ class ControllerExchange:
         self._last_unreadable = fault
 
     def notices(self) -> list[str]:
-        """Lines for irregular and for unreadable answers since the last call."""
+        """Return lines for irregular and for unreadable answers since the last call."""
         lines = []
         if self.irregular != self._irregular_reported:
             self._irregular_reported = replace(self.irregular)
@@ -110,23 +110,23 @@ class ControllerExchange:
 
         A controller's frame may arrive twice; a different frame with the same number is from another controller.
         """
-        given_up = self._unanswered.pop(number, None)
-        if given_up:
+        was_given_up = self._unanswered.pop(number, None)
+        if was_given_up:
             self.irregular.late += 1
             self.irregular.lost -= 1
-        elif given_up is None:
+        elif was_given_up is None:
             self.irregular.surplus += 1
-            if number == self._answered and data != self._answered_by:
+            if number == self._answered_number and data != self._answer_frame:
                 self.second_controller = True
 
     def _fault_of(self, reply: ControllerReply) -> str:
-        """Reason why a reply with the right number is not a valid answer; empty if it is valid."""
+        """Return why a reply with the right number is not a valid answer; empty if it is valid."""
         values = reply.values
         if reply.errors:
-            refused = ", ".join(f"0x{register:03X} (error {code})" for register, code in reply.errors.items())
-            return f"refuses the registers {refused}"
-        if values.keys() != self._registers:
-            return f"holds {len(values)} registers where {len(self._registers)} were asked for"
+            refusals = ", ".join(f"0x{register:03X} (error {code})" for register, code in reply.errors.items())
+            return f"refuses the registers {refusals}"
+        if values.keys() != self._awaited_registers:
+            return f"holds {len(values)} registers where {len(self._awaited_registers)} were asked for"
         mode, fault = values[Register.MODE], values[Register.FAULT]
         if mode not in MODES or fault < 0:
             return f"holds mode {mode:g} and fault {fault:g}"

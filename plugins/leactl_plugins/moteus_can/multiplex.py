@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 from leactl_plugins.moteus_can.registers import KNOWN_REGISTERS, SCALES
 
-WRITE, READ, REPLY = 0x00, 0x10, 0x20  # the resolution is in bits 2 and 3, a number up to 3 in bits 0 and 1
+WRITE, READ, REPLY = 0x00, 0x10, 0x20  # bits 2 and 3: resolution; bits 0 and 1: number of registers up to 3
 WRITE_ERROR, READ_ERROR = 0x30, 0x31
 TEXT_TO_DEVICE, TEXT_TO_HOST, POLL_FOR_TEXT = 0x40, 0x41, 0x42
 NOP = 0x50
-LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # of a CAN-FD frame
-MOST_BYTES = LENGTHS[-1]
+LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # bytes of a CAN-FD frame
+MOST_FRAME_BYTES = LENGTHS[-1]
 MOST_VARUINT_BYTES = 5
 REPLY_REQUESTED = 0x80  # bit of a frame's source
 
@@ -31,7 +31,7 @@ class Resolution(IntEnum):
 
 
 LAYOUTS = tuple(struct.Struct(form) for form in ("<b", "<h", "<i", "<f"))  # by resolution
-NAN_CODES = (-128, -32768, -2147483648)  # of a physical value, by resolution
+NAN_CODES = (-128, -32768, -2147483648)  # codes of a physical value that is NaN, by resolution
 
 
 class ControllerReply(NamedTuple):
@@ -43,22 +43,22 @@ class ControllerReply(NamedTuple):
 
 
 def identifier(source: int, destination: int) -> int:
-    """Identifier of a frame."""
+    """Return the CAN identifier of a frame from a source to a destination."""
     return source << 8 | destination
 
 
 def varuint(number: int) -> bytes:
     """Encode a non-negative integer in groups of seven bits, the least significant first."""
-    out = bytearray()
+    encoded = bytearray()
     while number > 0x7F:
-        out.append(number & 0x7F | 0x80)
+        encoded.append(number & 0x7F | 0x80)
         number >>= 7
-    out.append(number)
-    return bytes(out)
+    encoded.append(number)
+    return bytes(encoded)
 
 
 def write(register: int, values: Sequence[float], resolution: Resolution = Resolution.FLOAT) -> bytes:
-    """Subframe that writes consecutive registers, in physical values of the maker's units.
+    """Return a subframe that writes consecutive registers, in physical values of the maker's units.
 
     Raises
     ------
@@ -69,18 +69,18 @@ def write(register: int, values: Sequence[float], resolution: Resolution = Resol
 
 
 def read(register: int, count: int = 1, resolution: Resolution = Resolution.FLOAT) -> bytes:
-    """Subframe that queries consecutive registers."""
+    """Return a subframe that queries consecutive registers."""
     return _head(READ, register, count, resolution)
 
 
 def text_to_device(channel: int, text: bytes) -> bytes:
-    """Subframe that sends text to the controller's tunnel."""
+    """Return a subframe that sends text to the controller's tunnel."""
     return bytes((TEXT_TO_DEVICE,)) + varuint(channel) + varuint(len(text)) + text
 
 
-def poll_for_text(channel: int, most: int) -> bytes:
-    """Subframe that polls the controller's tunnel for at most so many bytes."""
-    return bytes((POLL_FOR_TEXT,)) + varuint(channel) + varuint(most)
+def poll_for_text(channel: int, most_bytes: int) -> bytes:
+    """Return a subframe that polls the controller's tunnel for at most `most_bytes` of text."""
+    return bytes((POLL_FOR_TEXT,)) + varuint(channel) + varuint(most_bytes)
 
 
 def pad(subframes: bytes) -> bytes:
@@ -90,19 +90,21 @@ def pad(subframes: bytes) -> bytes:
     ------
     ValueError : more than 64 bytes.
     """
-    if len(subframes) > MOST_BYTES:
-        raise ValueError(f"{len(subframes)} bytes; {MOST_BYTES} at the most were expected")
+    if len(subframes) > MOST_FRAME_BYTES:
+        raise ValueError(f"{len(subframes)} bytes; {MOST_FRAME_BYTES} at the most were expected")
     length = next(length for length in LENGTHS if length >= len(subframes))
     return subframes.ljust(length, bytes((NOP,)))
 
 
 def _head(kind: int, register: int, count: int, resolution: Resolution) -> bytes:
+    """Return the head of a subframe for consecutive registers."""
     if 0 < count <= 3:
         return bytes((kind | resolution << 2 | count,)) + varuint(register)
     return bytes((kind | resolution << 2,)) + varuint(count) + varuint(register)
 
 
 def _encode(register: int, value: float, resolution: Resolution) -> bytes:
+    """Return the bytes of a value; raise ValueError if the resolution cannot express it."""
     if resolution is Resolution.FLOAT:
         try:
             return LAYOUTS[resolution].pack(value)
@@ -124,8 +126,8 @@ def parse(data: bytes) -> ControllerReply:
 
     Raises
     ------
-    ValueError : the frame is not a controller's, holds a register twice, one of unknown scale, or an integer register
-        with a fraction; the whole frame is then unusable.
+    ValueError : the frame is not a controller's, holds a register twice or one of unknown scale, or an integer register
+        holds a fraction; the whole frame is then unusable.
     """
     values: dict[int, float] = {}
     errors: dict[int, int] = {}
@@ -155,7 +157,7 @@ def parse(data: bytes) -> ControllerReply:
 
 
 def _take_values(kind: int, data: bytes, offset: int, values: dict[int, float]) -> int:
-    """Parse the values of a subframe, from the byte after its first one; returns the offset after it."""
+    """Parse the values of a subframe, from the byte after its first one; return the offset after it."""
     resolution, count = kind >> 2 & 3, kind & 3
     if not count:
         count, offset = _take_varuint(data, offset)
@@ -173,7 +175,7 @@ def _take_values(kind: int, data: bytes, offset: int, values: dict[int, float]) 
 
 
 def _decode(register: int, value: float, resolution: int) -> float:
-    """Physical value or integer for the code of a register."""
+    """Return the physical value or integer for the code of a register; raise ValueError if its scale is not known."""
     if register not in KNOWN_REGISTERS:
         raise ValueError(f"tells register 0x{register:03X}, whose scale is not known here")
     scales = SCALES.get(register)
@@ -187,7 +189,7 @@ def _decode(register: int, value: float, resolution: int) -> float:
 
 
 def _take_varuint(data: bytes, offset: int) -> tuple[int, int]:
-    """Decode an integer; returns it and the offset after it."""
+    """Decode an integer; return it and the offset after it."""
     number = 0
     for count in range(MOST_VARUINT_BYTES):
         byte = data[offset + count]

@@ -22,12 +22,12 @@ IDENTITY_QUERY = query(
 )
 REPLY_REQUESTED_BIT = 0x8000  # bit of an identifier
 REQUEST_PERIOD_S = 0.002  # time from one controller to the next; frame and answer take 0.3 ms at 1 and 5 Mbit/s
-ANSWER_S = 0.1
-MOST_ANSWERS = 3  # kept of each node
+ANSWER_TIMEOUT_S = 0.1  # time for answers after the last request
+MOST_KEPT_ANSWERS = 3  # of each node
 
 
 class MoteusProbe(CanProbe):
-    """Reads model, versions and serial number from every number that a controller can have."""
+    """Probe that reads model, versions and serial number from every number that a controller can have."""
 
     fd = True
 
@@ -39,28 +39,28 @@ class MoteusProbe(CanProbe):
         return ""
 
     def identifiers(self, address: int) -> Collection[int]:
-        """Identifiers of frames to the node, from any source, and of its answers."""
+        """Return the identifiers of frames to the node, from any source, and of its answers to the host."""
         return frozenset((*range(address, LAST_OF_11_BITS + 1, 0x100), identifier(address, HOST)))
 
     def ask(self, port: CanPort, addresses: Collection[int], taken: Collection[int]) -> Seen:
         """Ask every node for its identity."""
         answers: dict[int, list[bytes]] = {}
         for node in NODES:
-            port.listen_fd(identifier(node, HOST), partial(_keep, answers, node))
+            port.listen_fd(identifier(node, HOST), partial(_keep_answer, answers, node))
         try:
             for node in NODES:
                 port.send_fd(identifier(HOST | REPLY_REQUESTED, node), pad(IDENTITY_QUERY.subframes))
                 port.pump_until((False,), port.clock.now() + REQUEST_PERIOD_S)
-            port.pump_until((False,), port.clock.now() + ANSWER_S)
+            port.pump_until((False,), port.clock.now() + ANSWER_TIMEOUT_S)
         finally:
             for node in NODES:
                 port.listen_fd(identifier(node, HOST), None)
         for node, frames in sorted(answers.items()):
-            yield _read(node, frames)
+            yield _sighting_of(node, frames)
 
 
 def identity_of(values: Mapping[int, float]) -> Identity:
-    """Identity of a controller from the registers of `IDENTITY_QUERY`."""
+    """Return the identity of a controller from the registers of `IDENTITY_QUERY`."""
     model, firmware = int(values[Register.MODEL_NUMBER]), int(values[Register.FIRMWARE_VERSION])
     words = [int(values[Register.SERIAL_NUMBER + word]) for word in range(3)]
     serial = base64.b64encode(struct.pack(">3i", *words)).decode("ascii")
@@ -69,13 +69,15 @@ def identity_of(values: Mapping[int, float]) -> Identity:
     )
 
 
-def _keep(answers: dict[int, list[bytes]], node: int, data: bytearray, _timestamp: float) -> None:
+def _keep_answer(answers: dict[int, list[bytes]], node: int, data: bytearray, _timestamp: float) -> None:
+    """Add a frame to the answers of its node."""
     answers_of_node = answers.setdefault(node, [])
-    if len(answers_of_node) < MOST_ANSWERS:
+    if len(answers_of_node) < MOST_KEPT_ANSWERS:
         answers_of_node.append(bytes(data))
 
 
-def _read(node: int, frames: Sequence[bytes]) -> Sighting | str:
+def _sighting_of(node: int, frames: Sequence[bytes]) -> Sighting | str:
+    """Return the sighting of a node from its answers; a text if they do not identify one controller."""
     if len(frames) > 1:
         return (
             f"node {node}: {len(frames)} answers to one question: two controllers have this number; connect one of them"
@@ -87,7 +89,7 @@ def _read(node: int, frames: Sequence[bytes]) -> Sighting | str:
         return f"node {node}: its answer {error}"
     if not IDENTITY_QUERY.registers <= values.keys():
         return f"node {node}: does not tell who it is; a moteus with firmware of another kind?"
-    identity, registers = identity_of(values), int(values[Register.REGISTER_MAP_VERSION])
-    if registers != MAP_VERSION:
-        return Sighting(node, identity, None, f"register map {registers}; {MAP_VERSION} is known here")
+    identity, map_version = identity_of(values), int(values[Register.REGISTER_MAP_VERSION])
+    if map_version != MAP_VERSION:
+        return Sighting(node, identity, None, f"register map {map_version}; {MAP_VERSION} is known here")
     return Sighting(node, identity, {"node": node})

@@ -52,13 +52,13 @@ class OperatingMode(IntEnum):
     BRAKE = 15
 
 
-MODES = range(16)  # that the maker documents
+MODES = range(16)  # values that the maker documents
 _PWM = (1 / 127, 1 / 32767, 1 / 2147483647)
 _POSITION = (0.01, 0.0001, 0.00001)
 _VELOCITY = (0.1, 0.00025, 0.00001)
 _TORQUE = (0.5, 0.01, 0.001)
 _TENTHS = (1.0, 0.1, 0.001)  # of temperature and current
-SCALES: dict[int, tuple[float, float, float]] = {  # of one count as int8, int16 and int32
+SCALES: dict[int, tuple[float, float, float]] = {  # of one count as int8, int16 and int32, in the unit of the register
     Register.POSITION: _POSITION,
     Register.VELOCITY: _VELOCITY,
     Register.TORQUE: _TORQUE,
@@ -83,7 +83,7 @@ SCALES: dict[int, tuple[float, float, float]] = {  # of one count as int8, int16
 KNOWN_REGISTERS = frozenset((*Register, Register.SERIAL_NUMBER + 1, Register.SERIAL_NUMBER + 2))
 """Registers whose scale is known, each word of the serial number included."""
 
-FAULTS = {  # the mode is FAULT
+FAULTS = {  # by code, in mode FAULT
     32: "calibration fault",
     33: "motor driver fault",
     34: "over voltage",
@@ -102,7 +102,7 @@ FAULTS = {  # the mode is FAULT
     47: "bemf feedforward no accel",
     48: "invalid limits",
 }
-LIMITS = {  # the controller follows its mode, and something takes power away
+LIMITS = {  # by code, of what takes power away while the controller follows its mode
     96: "servo.max_velocity",
     97: "servo.max_power_W",
     98: "the maximum system voltage",
@@ -117,10 +117,10 @@ TORQUE_FACTOR = 1.5 / math.sqrt(3.0) * 60.0 / (2.0 * math.pi)
 
 
 def fault_text(code: int) -> str:
-    """Meaning of a fault code, in the maker's words."""
+    """Return the meaning of a fault code, in the maker's words."""
     return f"{FAULTS.get(code, 'a fault unknown here')} (code {code})"
 
 
 def limit_text(code: int) -> str:
-    """Name of what limits the output, in the maker's words."""
+    """Return the name of what limits the output, in the maker's words."""
     return f"{LIMITS.get(code, 'a limit unknown here')} (code {code})"
