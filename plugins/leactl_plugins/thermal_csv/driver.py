@@ -51,11 +51,11 @@ class ThermalCsv(Driver):
 
     @classmethod
     def far_end(cls, settings: ThermalCsvSettings, role: str, physics: Physics) -> BuslessEmulator:
-        """A camera that measures the emulated actuator of this role.
+        """Return an emulated camera that measures the actuator of this role.
 
         Raises
         ------
-        InputError : no folder of exports is set, or the settings are for frames.
+        InputError : no folder for exports is set, or the settings are for frames of pixels.
         """
         from leactl_plugins.thermal_csv.emulator import CameraEmulator
 
@@ -68,7 +68,7 @@ class ThermalCsv(Driver):
 
     @property
     def clock(self) -> RecordClock | None:
-        """How the camera's clock is aligned with that of a run."""
+        """Alignment of the camera's clock with that of a run."""
         return self.settings.clock
 
     @property
@@ -86,56 +86,60 @@ class ThermalCsv(Driver):
 
         Raises
         ------
-        InputError : a file cannot be read or is ambiguous.
+        InputError : a file cannot be read or is ambiguous, or a channel has no number.
         """
         if self.settings.matrix:
             files = [read_matrices(paths, self.settings)]
         else:
             files = [read_series(path, self.settings) for path in paths]
-        time, values, began = join_files(files)
-        starts = np.cumsum([0, *(len(sheet.clock.time) for sheet in files)])
+        time, values, zero = join_files(files)
+        starts = np.cumsum([0, *(len(camera_file.clock.time) for camera_file in files)])
 
         def where(row: int) -> str:
-            part = int(np.searchsorted(starts, row, side="right")) - 1
-            return files[part].where(row - int(starts[part]))
+            file_index = int(np.searchsorted(starts, row, side="right")) - 1
+            return files[file_index].where(row - int(starts[file_index]))
 
-        times = self.settings.time
-        resolution = max(sheet.clock.resolution for sheet in files)
-        rows = order_rows(time, values, where, times.backward, resolution, times.frame_rate_Hz)
-        empty = [spec.name for spec, column in zip(self.channels, rows.values.T, strict=True) if np.isnan(column).all()]
-        if empty:
-            raise InputError(f"{paths[0]}: no number at all in {', '.join(empty)}")
-        remarks = list(dict.fromkeys(text for sheet in files for text in sheet.remarks))
+        time_settings = self.settings.time
+        resolution = max(camera_file.clock.resolution for camera_file in files)
+        ordered = order_rows(time, values, where, time_settings.backward, resolution, time_settings.frame_rate_Hz)
+        empty_channels = [
+            spec.name for spec, column in zip(self.channels, ordered.values.T, strict=True) if np.isnan(column).all()
+        ]
+        if empty_channels:
+            raise InputError(f"{paths[0]}: no number at all in {', '.join(empty_channels)}")
+        remarks = list(dict.fromkeys(text for camera_file in files for text in camera_file.remarks))
         return FileRecord(
             stream=self.name,
             channels=self.channels,
-            time=rows.time - rows.time[0],
-            values=rows.values,
-            began=None if began is None else began + float(rows.time[0]),
+            time=ordered.time - ordered.time[0],
+            values=ordered.values,
+            began=None if zero is None else zero + float(ordered.time[0]),
             resolution=resolution,
-            remarks=(*remarks, *rows.remarks),
+            remarks=(*remarks, *ordered.remarks),
             files=tuple(paths),
         )
 
 
-def join_files(sheets: Sequence[CameraFile]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], float | None]:
-    """Times [s] and values of all parts on one clock, and its zero in s since 1970 (None if unknown).
+def join_files(camera_files: Sequence[CameraFile]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], float | None]:
+    """Return times [s] and values of all parts on one clock, and its zero [s since 1970] (None if unknown).
 
     Raises
     ------
     InputError : some parts have a date or zone and others have none.
     """
-    midnights = [sheet.clock.midnight for sheet in sheets]
+    midnights = [camera_file.clock.midnight for camera_file in camera_files]
     known_midnights = [moment.timestamp() for moment in midnights if moment is not None]
-    days = [sheet.clock.day for sheet in sheets]
-    for dates in (midnights, days):
-        if None in dates and any(dates):
-            raise InputError(f"{sheets[dates.index(None)].where(0)}: no day or no zone, which other files have")
-    began = min(known_midnights) if known_midnights else None
-    if began is not None:
-        shifts = [moment - began for moment in known_midnights]
+    days = [camera_file.clock.day for camera_file in camera_files]
+    for moments in (midnights, days):
+        if None in moments and any(moments):
+            raise InputError(f"{camera_files[moments.index(None)].where(0)}: no day or no zone, which other files have")
+    zero = min(known_midnights) if known_midnights else None
+    if zero is not None:
+        shifts = [moment - zero for moment in known_midnights]
     else:
-        dated = [day for day in days if day is not None]
-        shifts = [(day - min(dated)).total_seconds() for day in dated] or [0.0] * len(sheets)
-    time = np.concatenate([sheet.clock.time + shift for sheet, shift in zip(sheets, shifts, strict=True)])
-    return time, np.concatenate([sheet.values for sheet in sheets]), began
+        known_days = [day for day in days if day is not None]
+        shifts = [(day - min(known_days)).total_seconds() for day in known_days] or [0.0] * len(camera_files)
+    time = np.concatenate(
+        [camera_file.clock.time + shift for camera_file, shift in zip(camera_files, shifts, strict=True)]
+    )
+    return time, np.concatenate([camera_file.values for camera_file in camera_files]), zero

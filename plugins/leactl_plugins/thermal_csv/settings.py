@@ -28,7 +28,7 @@ class CameraRegion(BaseModel):
     column: Heading | None = None
     rows: tuple[Pixel, Pixel] | None = None  # first and last, from 0 at the top
     columns: tuple[Pixel, Pixel] | None = None  # first and last, from 0 at the left
-    statistic: Literal["mean", "max", "min"] = "mean"  # of the rectangle; a column has its own
+    statistic: Literal["mean", "max", "min"] = "mean"  # of the pixels of the rectangle; a column is a statistic already
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
@@ -47,17 +47,17 @@ class StampSettings(BaseModel):
     model_config = STRICT
     column: Heading | None = None
     date_column: Heading | None = None
-    line: Heading | None = None  # of frames: what the line above each one calls its time or number
+    line: Heading | None = None  # of frames: name of the time or number in a line above each frame
     kind: Literal["wall", "elapsed", "frame"] | None = None
     units: Literal["s", "ms", "us", "min", "h"] | None = None  # of a plain number
-    # of stamps such as 010:15:30:33 the first two, of such as 10:15 the last two
+    # the first two for stamps such as 010:15:30:33, the last two for stamps such as 10:15
     colons: Literal["days_first", "fraction_last", "hours_minutes", "minutes_seconds"] | None = None
     date_order: Literal["ymd", "dmy", "mdy"] | None = None
     date: Annotated[str, StringConstraints(strict=True, pattern=r"^\d{4}-\d\d-\d\d$")] | None = None  # of the first row
     year: Annotated[int, Field(strict=True, ge=1990, le=2100)] | None = None  # of a day of the year
-    zone: str | None = None  # of a wall clock that tells none: Europe/Berlin, +08:00
+    zone: str | None = None  # of a wall clock whose stamps have none: Europe/Berlin, +08:00
     frame_rate_Hz: Annotated[float, Field(strict=True, gt=0, le=10_000, allow_inf_nan=False)] | None = None
-    backward: Literal["refuse", "leave_out"] = "refuse"  # stamps that go back
+    backward: Literal["refuse", "leave_out"] = "refuse"  # treatment of rows whose stamps go back
 
     @field_validator("zone")
     @classmethod
@@ -96,7 +96,7 @@ class ThermalCsvSettings(DetectableFormat, RecordSettings):
         return self
 
     def shown(self) -> list[MeasurableRange]:
-        """Every region with an infinite range, because a record that comes after the run cannot trip a limit."""
+        """Return every region with an infinite range, because a record that comes after the run cannot trip a limit."""
         return [
             MeasurableRange(("regions", name, "quantity"), region.quantity, -math.inf, math.inf)
             for name, region in self.regions.items()
@@ -109,11 +109,11 @@ class ThermalCsvSettings(DetectableFormat, RecordSettings):
 
 
 def zone_of(name: str) -> timezone | ZoneInfo:
-    """A time zone by its name or its offset from UTC.
+    """Return a time zone by its name or its offset from UTC.
 
     Raises
     ------
-    ValueError : there is none of that name.
+    ValueError : no time zone has that name.
     """
     try:
         if name[:1] in "+-" and len(name) == 6 and name[3] == ":" and (name[1:3] + name[4:]).isdigit():
@@ -133,6 +133,6 @@ assert set(UNIT_NAMES) == set(known_units("winding_temperature"))
 
 
 def unit_named(text: str) -> str | None:
-    """The temperature unit that a text names; None if it names none."""
+    """Return the temperature unit that a text names; None if it names none."""
     plain = text.strip().lower()
     return next((unit for unit, names in UNIT_NAMES.items() if plain in names), None)
