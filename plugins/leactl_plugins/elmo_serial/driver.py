@@ -280,8 +280,8 @@ class ElmoSerial(EngagingDrive):
             highest_rate_hz = math.floor(MOST_EXCHANGE_SHARE / self._exchange_s)
             raise DeviceError(
                 f"{self.name}: an exchange takes {1e3 * self._exchange_s:.3g} ms on its line, a cycle at"
-                f" {1.0 / period:g} Hz leaves {1e3 * MOST_EXCHANGE_SHARE * period:.3g} ms: {highest_rate_hz} Hz at the most,"
-                " a higher baud rate on both sides, or the drive's CAN (elmo_can)"
+                f" {1.0 / period:g} Hz leaves {1e3 * MOST_EXCHANGE_SHARE * period:.3g} ms: {highest_rate_hz} Hz at"
+                " the most, a higher baud rate on both sides, or the drive's CAN (elmo_can)"
             )
 
     @property

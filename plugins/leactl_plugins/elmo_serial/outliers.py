@@ -40,9 +40,8 @@ class Outliers:
         for (quantity, noise_bound), before, value, after in zip(
             self._noise_bounds, self._previous_row, self._latest_row, values, strict=True
         ):
-            if (
-                abs(value - 0.5 * (before + after)) > OUTLIER_FACTOR * abs(after - before) + noise_bound
-            ):  # NaN compares false
+            # NaN compares false
+            if abs(value - 0.5 * (before + after)) > OUTLIER_FACTOR * abs(after - before) + noise_bound:
                 self.count += 1
                 outlier = outlier or Outlier(quantity, value, before, after)
         self._previous_row, self._latest_row = self._latest_row, tuple(values)

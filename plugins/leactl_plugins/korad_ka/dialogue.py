@@ -28,10 +28,7 @@ ON, OFF = "OUT1", "OUT0"
 ANSWER_END_S = 0.03  # silence that ends an answer; an adapter on USB holds bytes back for up to 16 ms
 QUIET_S = 0.1  # silence after which no answer to an earlier query is expected any more
 LONGEST_CHATTER_S = 0.5  # time within which a line must become silent; late answers have passed by then
-FIRST_MARK, MARK_COUNT = (
-    100,
-    100,
-)  # voltages from 1.00 V to 1.99 V; each attempt to switch off sets the next one
+FIRST_MARK, MARK_COUNT = 100, 100  # voltages of 1.00 V to 1.99 V; each attempt to switch off sets the next one
 SET_TRIES = 3  # attempts to set the levels
 MOST_STATE_READINGS = 10  # in which a switched output has to rise or fall
 SETTINGS_CHECK_INTERVAL_S = 1.0  # time between two readings of the settings, which a person may change at the panel
