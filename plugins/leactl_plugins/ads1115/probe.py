@@ -1,7 +1,7 @@
 """Recognise ADS1115 converters at rest by their configuration, read at the four addresses that they can have.
 
-Nothing is written, and no other address is touched: by its manual page, the write without data by which `i2cdetect`
-looks for chips corrupts some EEPROMs (AT24RF08), and its read of a byte locks chips that can only be written.
+Nothing is written, and no other address is touched. By its manual page, `i2cdetect` looks for chips by a write without
+data, which corrupts some EEPROMs (AT24RF08), or by a read of a byte, which locks chips that can only be written.
 """
 
 from leactl.driver.contract import Identity
@@ -13,11 +13,11 @@ from leactl_plugins.ads1115.settings import COMPARATOR_OFF, CONFIG, SINGLE_SHOT,
 ADDRESSES = range(0x48, 0x4C)
 REST_CONFIG = START | SINGLE_SHOT | COMPARATOR_OFF  # idle, in single-shot mode, comparator off (TI SBAS444, 9.6.3)
 ALL_ONES = 0xFFFF  # read from a bus that no device drives
-AFTER_RESET = 0x8583
+AFTER_RESET = 0x8583  # configuration
 
 
 class Ads1115Probe(I2cProbe):
-    """Reads one register of two bytes."""
+    """Probe that reads one register of two bytes."""
 
     def ask(self, port: I2cPort) -> Seen:
         """Read the configuration at each address."""

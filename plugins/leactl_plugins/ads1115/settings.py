@@ -8,13 +8,13 @@ from leactl.driver.contract import DriverSettings, MeasurableRange
 from leactl.quantities import ROLES, UNITS
 
 CONVERSION, CONFIG = 0x00, 0x01  # registers
-START = 0x8000  # OS: start when written, idle when read
+START = 0x8000  # bit OS: written, it starts a conversion; read, it says that none is running
 SINGLE_SHOT = 0x0100
-COMPARATOR_OFF = 0x0003
+COMPARATOR_OFF = 0x0003  # both bits of COMP_QUE
 MUX = {"A0-A1": 0, "A0-A3": 1, "A1-A3": 2, "A2-A3": 3, "A0": 4, "A1": 5, "A2": 6, "A3": 7}
 RANGES_V = {6.144: 0, 4.096: 1, 2.048: 2, 1.024: 3, 0.512: 4, 0.256: 5}
 RATES_SPS = (8, 16, 32, 64, 128, 250, 475, 860)
-TARE_SHARE = 0.05  # of the range: more than a zero drifts, and less than a considerable load
+TARE_SHARE = 0.05  # of the range: more than the drift of a zero, and less than a considerable load
 Volts = Annotated[float, Field(strict=True, ge=-6.144, le=6.144)]
 
 
@@ -39,20 +39,20 @@ class AdcInput(BaseModel):
 
     @property
     def window_V(self) -> tuple[float, float]:  # noqa: N802
-        """Lowest and highest valid voltage: inside the range's end codes and the sensor's rails."""
-        count = self.range_V / 32768
-        low, high = -self.range_V + count, self.range_V - 2 * count
+        """Lowest and highest valid voltage [V]: inside the range's end codes and the sensor's rails."""
+        volts_per_count = self.range_V / 32768
+        low, high = -self.range_V + volts_per_count, self.range_V - 2 * volts_per_count
         return (low if self.low_V is None else max(low, self.low_V)), (
             high if self.high_V is None else min(high, self.high_V)
         )
 
     @property
     def most_tare_V(self) -> float:  # noqa: N802
-        """Largest distance of a tared zero from `offset_V`."""
+        """Largest distance of a tared zero from `offset_V` [V]."""
         return TARE_SHARE * self.range_V if self.tare_limit_V is None else self.tare_limit_V
 
     def value_of(self, volts: float) -> float:
-        """Value of the sensor's quantity at a voltage."""
+        """Return the value of the sensor's quantity at a voltage [V]."""
         return self.sign * self.scale_per_V * (volts - self.offset_V)
 
     @model_validator(mode="after")
@@ -96,17 +96,17 @@ class Ads1115Settings(DriverSettings):
         return self.address
 
     def shown(self) -> list[MeasurableRange]:
-        """Measurable range of each input."""
+        """Return the measurable range of each input."""
         ranges = []
-        for index, item in enumerate(self.inputs):
-            low, high = sorted(item.value_of(volts) for volts in item.window_V)
-            ranges.append(MeasurableRange(("inputs", index), item.quantity, low, high))
+        for index, adc_input in enumerate(self.inputs):
+            low, high = sorted(adc_input.value_of(volts) for volts in adc_input.window_V)
+            ranges.append(MeasurableRange(("inputs", index), adc_input.quantity, low, high))
         return ranges
 
     @field_validator("inputs")
     @classmethod
     def _names_differ(cls, value: tuple[AdcInput, ...]) -> tuple[AdcInput, ...]:
-        names = [item.name for item in value]
+        names = [adc_input.name for adc_input in value]
         if len(set(names)) != len(names):
             raise ValueError(f"two inputs share a name among {', '.join(names)}")
         return value
