@@ -134,7 +134,7 @@ def test_scale_and_sign_of_an_input_and_the_one_error_of_scale():
 
 @pytest.fixture
 def small_buffer(monkeypatch):
-    monkeypatch.setattr(emulator, "BUFFERED_S", 0.5)
+    monkeypatch.setattr(emulator, "BUFFER_S", 0.5)
 
 
 def test_a_host_that_stalls_loses_samples_and_says_how_many(small_buffer):

@@ -9,7 +9,7 @@ from leactl.driver.contract import Confirmation
 from leactl.errors import DeviceError
 from leactl_plugins.ni_daq.settings import NiDaqSettings
 
-OVERRUNS = (-200279, -200222, -200361, -200019)  # samples were lost, and the acquisition has stopped
+OVERRUNS = (-200279, -200222, -200361, -200019)  # codes: samples were lost, and the acquisition has stopped
 SAFE = Confirmation(True, "measures only")
 ERRORS = {  # code: NI's name for it, and what to do
     -200220: ("INVALID_DEVICE_ID", "no such device: `leactl doctor` lists those that there are; mend settings.device"),
@@ -32,7 +32,7 @@ ERRORS = {  # code: NI's name for it, and what to do
 
 
 class DaqmxError(DeviceError):
-    """An error of NI-DAQmx: its code, its name if it is known, and a hint."""
+    """Error of NI-DAQmx, with its code, its name if it is known, and a hint."""
 
     def __init__(self, code: int, text: str = "") -> None:
         self.code = code
@@ -48,13 +48,13 @@ class Acquisition(Protocol):
     serial_number: str  # as on its label; empty if the device reports none
     rate_Hz: float  # noqa: N815 (as the device coerced it)
     convert_Hz: float  # noqa: N815 (from one input to the next)
-    warnings: list[str]  # of the device
+    warnings: list[str]  # of the device, one line each
 
     def start(self) -> None:
         """Start sampling."""
 
     def read(self) -> NDArray[np.float64]:
-        """Samples since the last call, (inputs, samples), V; never waits."""
+        """Return the samples since the last call, (inputs, samples), V; never waits."""
 
     def close(self) -> None:
         """Stop sampling and release the device; never raises."""

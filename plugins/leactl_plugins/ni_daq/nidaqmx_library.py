@@ -12,12 +12,12 @@ from leactl.errors import DeviceError
 from leactl_plugins.ni_daq.acquisition import DaqmxError
 from leactl_plugins.ni_daq.settings import NiDaqSettings
 
-BUFFERED_S = 10.0  # time for which a host may stall before samples are lost
+BUFFER_S = 10.0  # time for which a host may stall before samples are lost
 TERMINALS = {"differential": "DIFF", "rse": "RSE", "nrse": "NRSE"}
 
 
 class NidaqmxLibrary:
-    """NI's package as a factory of acquisitions."""
+    """Factory of acquisitions by NI's package."""
 
     def __init__(self) -> None:
         try:
@@ -44,8 +44,8 @@ class NidaqmxTask:
         from nidaqmx.stream_readers import AnalogMultiChannelReader
 
         self.warnings: list[str] = []
-        self._inputs = len(settings.inputs)
-        with converted_errors(), warnings.catch_warnings(record=True) as heard:
+        self._input_count = len(settings.inputs)
+        with converted_errors(), warnings.catch_warnings(record=True) as caught_warnings:
             warnings.simplefilter("always")
             device = nidaqmx.system.Device(settings.device)
             self.product: str = device.product_type
@@ -54,28 +54,29 @@ class NidaqmxTask:
             try:
                 self._configure(nidaqmx, settings, samples)
                 self.rate_Hz: float = self._task.timing.samp_clk_rate
-                self.convert_Hz: float = self._task.timing.ai_conv_rate if self._inputs > 1 else self.rate_Hz
+                self.convert_Hz: float = self._task.timing.ai_conv_rate if self._input_count > 1 else self.rate_Hz
             except BaseException:
                 self.close()
                 raise
-        self.warnings = [" ".join(str(item.message).split()) for item in heard]
+        self.warnings = [" ".join(str(warning.message).split()) for warning in caught_warnings]
         self._stream = self._task.in_stream
         self._reader = AnalogMultiChannelReader(self._stream)
 
     def _configure(self, nidaqmx: Any, settings: NiDaqSettings, samples: int | None) -> None:
+        """Add the inputs to the task, and configure its sample clock."""
         constants = nidaqmx.constants
-        for item in settings.inputs:
+        for daq_input in settings.inputs:
             self._task.ai_channels.add_ai_voltage_chan(
-                f"{settings.device}/{item.channel}",
-                terminal_config=constants.TerminalConfiguration[TERMINALS[item.terminals]],
-                min_val=-item.range_V,
-                max_val=item.range_V,
+                f"{settings.device}/{daq_input.channel}",
+                terminal_config=constants.TerminalConfiguration[TERMINALS[daq_input.terminals]],
+                min_val=-daq_input.range_V,
+                max_val=daq_input.range_V,
             )
         mode = constants.AcquisitionType.CONTINUOUS if samples is None else constants.AcquisitionType.FINITE
         self._task.timing.cfg_samp_clk_timing(
             settings.rate_Hz,
             sample_mode=mode,
-            samps_per_chan=round(BUFFERED_S * settings.rate_Hz) if samples is None else samples,
+            samps_per_chan=round(BUFFER_S * settings.rate_Hz) if samples is None else samples,
         )
 
     def start(self) -> None:
@@ -84,12 +85,12 @@ class NidaqmxTask:
             self._task.start()
 
     def read(self) -> NDArray[np.float64]:
-        """Samples since the last call, (inputs, samples), V."""
+        """Return the samples since the last call, (inputs, samples), V."""
         with converted_errors():
-            available = self._stream.avail_samp_per_chan
-            values = np.empty((self._inputs, available))
-            if available:
-                self._reader.read_many_sample(values, available, timeout=0.0)
+            sample_count = self._stream.avail_samp_per_chan
+            values = np.empty((self._input_count, sample_count))
+            if sample_count:
+                self._reader.read_many_sample(values, sample_count, timeout=0.0)
         return values
 
     def close(self) -> None:
@@ -99,7 +100,7 @@ class NidaqmxTask:
 
 
 def _serial_number(nidaqmx: Any, device: Any) -> str:
-    """Serial number in hexadecimal, as on labels; empty if the device reports none."""
+    """Return the serial number in hexadecimal digits, as on labels; empty if the device reports none."""
     try:
         number = int(device.serial_num)
     except nidaqmx.errors.DaqError:

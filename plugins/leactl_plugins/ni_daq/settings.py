@@ -37,7 +37,7 @@ class NiDaqSettings(DriverSettings):
     device: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60)] = "Dev1"
     product: Annotated[str, Field(max_length=40)] = ""  # if it is given, another product is refused
     rate_Hz: Annotated[float, Field(strict=True, gt=0, le=2e6, allow_inf_nan=False)] = 10_000.0  # noqa: N815 (of every input)
-    # none: to the run's end
+    # None: until the end of the run
     duration_s: Annotated[float, Field(strict=True, gt=0, le=86_400, allow_inf_nan=False)] | None = None
     # standard uncertainty of the device's scale
     scale_std_ppm: Annotated[float, Field(strict=True, ge=0, le=1e5)] = 0.0
@@ -49,10 +49,15 @@ class NiDaqSettings(DriverSettings):
         return None if self.duration_s is None else max(1, round(self.duration_s * self.rate_Hz))
 
     def shown(self) -> list[MeasurableRange]:
-        """Measurable range of each input."""
+        """Return the measurable range of each input."""
         numbered_inputs = enumerate(self.inputs)
-        ends = [(index, item, item.range_V * item.scale_per_V) for index, item in numbered_inputs]
-        return [MeasurableRange(("inputs", index), item.quantity, -end, end) for index, item, end in ends]
+        range_ends = [
+            (index, daq_input, daq_input.range_V * daq_input.scale_per_V) for index, daq_input in numbered_inputs
+        ]
+        return [
+            MeasurableRange(("inputs", index), daq_input.quantity, -range_end, range_end)
+            for index, daq_input, range_end in range_ends
+        ]
 
     @field_validator("inputs")
     @classmethod
