@@ -24,8 +24,8 @@ from leactl.units import CONVERSIONS, SECONDS, converter
 from leactl_plugins.elmo.scales import CountedPosition
 from leactl_plugins.elmo_recorder_csv.settings import CURRENTS, ElmoRecorderCsvSettings, RecordedSignal
 
-SECONDS_NAMED = {**SECONDS, "sec": 1.0, "seconds": 1.0, "msec": 1e-3, "usec": 1e-6, "µs": 1e-6}
-INTERVAL_TOLERANCE = 0.01  # range of the intervals over their median; a recorder samples by a timer
+SECONDS_BY_UNIT = {**SECONDS, "sec": 1.0, "seconds": 1.0, "msec": 1e-3, "usec": 1e-6, "µs": 1e-6}
+INTERVAL_TOLERANCE = 0.01  # largest range of the intervals over their median; a recorder samples by a timer
 
 
 class ElmoRecorderCsv(Driver):
@@ -61,11 +61,11 @@ class ElmoRecorderCsv(Driver):
 
     @classmethod
     def far_end(cls, settings: ElmoRecorderCsvSettings, role: str, physics: Physics) -> BuslessEmulator:
-        """A recorder inside the emulated drive of this role.
+        """Return an emulated recorder inside the drive of this role.
 
         Raises
         ------
-        InputError : no folder is set that its tool could save to.
+        InputError : no folder is set to which its tool could save.
         """
         from leactl_plugins.elmo_recorder_csv.emulator import RecorderEmulator
 
@@ -75,7 +75,7 @@ class ElmoRecorderCsv(Driver):
 
     @property
     def clock(self) -> RecordClock | None:
-        """How the recorder's clock is aligned with that of a run."""
+        """Alignment of the recorder's clock with that of a run."""
         return self.settings.clock
 
     @property
@@ -91,26 +91,26 @@ class ElmoRecorderCsv(Driver):
 
         Raises
         ------
-        InputError : a file that cannot be read, or that has two readings.
+        InputError : there are several files, or the file cannot be read, is ambiguous, or lacks a signal's numbers.
         """
         if len(paths) != 1:
             raise InputError(f"{len(paths)} files; a recording is one file, attach them one by one")
         settings = self.settings
-        timed = [settings.time_column] if settings.time_column else []
-        headings = [*timed, *(signal.column for signal in settings.signals.values())]
-        table = read_table(paths[0], settings, headings, every_row=not timed)
+        time_headings = [settings.time_column] if settings.time_column else []
+        headings = [*time_headings, *(signal.column for signal in settings.signals.values())]
+        table = read_table(paths[0], settings, headings, every_row=not time_headings)
         headings_by_signal = {name: table.heading(signal.column) for name, signal in settings.signals.items()}
         time_heading = table.heading(settings.time_column) if settings.time_column else ""
         columns = {
             heading: table.column(heading)
             for heading in dict.fromkeys([*filter(None, [time_heading]), *headings_by_signal.values()])
         }
-        numbers, convention = read_numbers(columns, settings, table.place, {})
-        time, time_remark = self._time(table, numbers.get(time_heading), time_heading)
+        numbers_by_heading, number_format = read_numbers(columns, settings, table.place, {})
+        time, time_remark = self._time(table, numbers_by_heading.get(time_heading), time_heading)
         wrap_remarks: list[str] = []
         values = np.stack(
             [
-                self._convert(table, headings_by_signal[name], signal, numbers, wrap_remarks)
+                self._convert(table, headings_by_signal[name], signal, numbers_by_heading, wrap_remarks)
                 for name, signal in settings.signals.items()
             ],
             axis=1,
@@ -119,53 +119,70 @@ class ElmoRecorderCsv(Driver):
         def where(row: int) -> str:
             return table.place(time_heading or next(iter(headings_by_signal.values())), row)
 
-        rows = order_rows(time, values, where)
-        empty = [name for name, column in zip(headings_by_signal, rows.values.T, strict=True) if np.isnan(column).all()]
-        if empty:
-            raise InputError(f"{paths[0]}: no number at all in {', '.join(empty)}")
-        interval = float(np.median(np.diff(rows.time))) if len(rows.time) > 1 else 0.0
-        read_as = [
+        ordered = order_rows(time, values, where)
+        empty_signals = [
+            name for name, column in zip(headings_by_signal, ordered.values.T, strict=True) if np.isnan(column).all()
+        ]
+        if empty_signals:
+            raise InputError(f"{paths[0]}: no number at all in {', '.join(empty_signals)}")
+        interval = float(np.median(np.diff(ordered.time))) if len(ordered.time) > 1 else 0.0
+        unit_remarks = [
             f"{headings_by_signal[name]} as {self._unit(table, headings_by_signal[name], signal)}"
             for name, signal in settings.signals.items()
         ]
-        remarks = (*table.remarks, str(convention), *read_as, *wrap_remarks, time_remark, *rows.remarks)
+        remarks = (*table.remarks, str(number_format), *unit_remarks, *wrap_remarks, time_remark, *ordered.remarks)
         return FileRecord(
-            self.name, self.channels, rows.time - rows.time[0], rows.values, None, interval, remarks, tuple(paths)
+            self.name,
+            self.channels,
+            ordered.time - ordered.time[0],
+            ordered.values,
+            None,
+            interval,
+            remarks,
+            tuple(paths),
         )
 
     def _time(self, table: Table, stamps: Numbers | None, heading: str) -> tuple[Array, str]:
+        """Return the times of the rows [s], and a remark on them; raise InputError if their unit is not clear."""
         settings = self.settings
         if stamps is None:
             interval = settings.interval_s or math.nan
             return interval * np.arange(len(table.rows), dtype=np.float64), f"one row each {interval:g} s, as set"
-        named = common_unit(heading, stamps.units, f"{table.path}: {heading!r}")
-        units = settings.time_units or (named if named in SECONDS_NAMED else None)
+        stated_unit = common_unit(heading, stamps.units, f"{table.path}: {heading!r}")
+        units = settings.time_units or (stated_unit if stated_unit in SECONDS_BY_UNIT else None)
         if units is None:
             raise InputError(f"{table.path}: {heading!r} names no unit of time; time_units decides")
-        if settings.time_units and named in SECONDS_NAMED and SECONDS_NAMED[named] != SECONDS_NAMED[units]:
-            raise InputError(f"{table.path}: {heading!r} is in {named}; time_units says {units}")
-        time = stamps.values * SECONDS_NAMED[units]
+        if (
+            settings.time_units
+            and stated_unit in SECONDS_BY_UNIT
+            and SECONDS_BY_UNIT[stated_unit] != SECONDS_BY_UNIT[units]
+        ):
+            raise InputError(f"{table.path}: {heading!r} is in {stated_unit}; time_units says {units}")
+        time = stamps.values * SECONDS_BY_UNIT[units]
         steps = np.diff(time)
         if len(steps) and float(np.ptp(steps)) > INTERVAL_TOLERANCE * float(np.median(steps)):
             return time, f"stamps in {units}, UNEVEN: {steps.min():.6g} to {steps.max():.6g} s apart"
         return time, f"stamps in {units}"
 
     def _unit(self, table: Table, heading: str, signal: RecordedSignal) -> str:
-        named = unit_of(heading)
+        """Return the unit of a signal's column; raise InputError if it is not clear or is not one of its quantity."""
+        stated_unit = unit_of(heading)
         if signal.units is not None:
             if (
-                named
-                and (signal.takes(named) or any(named in units for units in CONVERSIONS.values()))
-                and named != signal.units
-                and not {named, signal.units} <= {*signal.counted}
+                stated_unit
+                and (signal.takes(stated_unit) or any(stated_unit in units for units in CONVERSIONS.values()))
+                and stated_unit != signal.units
+                and not {stated_unit, signal.units} <= {*signal.counted}
             ):
-                raise InputError(f"{table.path}: {heading!r} is in {named}; units say {signal.units}")
+                raise InputError(f"{table.path}: {heading!r} is in {stated_unit}; units say {signal.units}")
             return signal.units
-        if not named:
+        if not stated_unit:
             raise InputError(f"{table.path}: {heading!r} names no unit; units of the signal decide")
-        if not signal.takes(named):
-            raise InputError(f"{table.path}: {heading!r} is in {named!r}, which does not measure {signal.quantity}")
-        return named
+        if not signal.takes(stated_unit):
+            raise InputError(
+                f"{table.path}: {heading!r} is in {stated_unit!r}, which does not measure {signal.quantity}"
+            )
+        return stated_unit
 
     def _convert(
         self,
@@ -175,14 +192,17 @@ class ElmoRecorderCsv(Driver):
         numbers_by_heading: dict[str, Numbers],
         wrap_remarks: list[str],
     ) -> Array:
+        """Return a signal's column in its SI unit, with the sign of the settings; raise InputError if it is invalid."""
         numbers, units, settings = numbers_by_heading[heading], self._unit(table, heading, signal), self.settings
         if numbers.over_range:
             raise InputError(
                 f"{table.path}: {heading!r} holds {next(iter(numbers.over_range))!r}; a number was expected"
             )
-        in_cells = [text for text in numbers.units if text]
-        if in_cells and in_cells != [units]:
-            raise InputError(f"{table.path}: {heading!r} holds numbers in {', '.join(in_cells)}; {units} was expected")
+        cell_units = [text for text in numbers.units if text]
+        if cell_units and cell_units != [units]:
+            raise InputError(
+                f"{table.path}: {heading!r} holds numbers in {', '.join(cell_units)}; {units} was expected"
+            )
         values = numbers.values
         if units in signal.counted:
             if settings.counts_per_turn is None:
@@ -195,39 +215,40 @@ class ElmoRecorderCsv(Driver):
         values = conversion.factor * (values - conversion.zero)
         if signal.quantity in CURRENTS:
             values = values * settings.current_convention.to_q_axis
-        signed: Array = values if signal.quantity == "bus_voltage" else settings.sign * values
-        return signed
+        signed_values: Array = values if signal.quantity == "bus_voltage" else settings.sign * values
+        return signed_values
 
     def _unwrap(self, table: Table, heading: str, counts: Array, wrap_remarks: list[str]) -> Array:
-        """Counts that continue where the drive's own counts wrap at the end of its range.
+        """Return counts that continue where the drive's own counts wrap at the end of its range.
 
         Raises
         ------
-        InputError : counts beyond the range.
+        InputError : there are counts beyond the range.
         """
         if self.settings.position_range is None:
             return counts
         low, high = self.settings.position_range
-        beyond = np.flatnonzero((counts < low) | (counts > high))
-        if len(beyond):
+        rows_beyond = np.flatnonzero((counts < low) | (counts > high))
+        if len(rows_beyond):
             raise InputError(
-                f"{table.place(heading, int(beyond[0]))}: {counts[beyond[0]]:.0f} counts; the drive's position_range"
-                f" ends at {low} and {high}: give that of its object 0x607B, or null where it does not wrap"
+                f"{table.place(heading, int(rows_beyond[0]))}: {counts[rows_beyond[0]]:.0f} counts; the"
+                f" drive's position_range ends at {low} and {high}: give that of its object 0x607B, or null"
+                " where it does not wrap"
             )
         position = CountedPosition(low, high)
         shifts = np.zeros(len(counts))
-        shift, wraps = 0, []
+        shift, wrapped_rows = 0, []
         for row in np.flatnonzero(np.isfinite(counts)):
-            shown = round(counts[row])
-            position.counts = position.nearest(shown)
-            if position.counts - shown != shift:
-                shift = position.counts - shown
-                wraps.append(int(row))
+            recorded_counts = round(counts[row])
+            position.counts = position.nearest(recorded_counts)
+            if position.counts - recorded_counts != shift:
+                shift = position.counts - recorded_counts
+                wrapped_rows.append(int(row))
             shifts[row] = shift
-        if wraps:
+        if wrapped_rows:
             wrap_remarks.append(
-                f"{heading} wraps {len(wraps)} times at the end of {low} to {high} counts, first at"
-                f" {table.place(heading, wraps[0])}: unwrapped"
+                f"{heading} wraps {len(wrapped_rows)} times at the end of {low} to {high} counts, first at"
+                f" {table.place(heading, wrapped_rows[0])}: unwrapped"
             )
         unwrapped: Array = counts + shifts
         return unwrapped

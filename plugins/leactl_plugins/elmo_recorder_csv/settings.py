@@ -44,7 +44,7 @@ class RecordedSignal(BaseModel):
 
     @property
     def counted(self) -> tuple[str, ...]:
-        """Names of encoder counts for this quantity."""
+        """Names of units of encoder counts for this quantity; empty if it is not counted."""
         return COUNTS.get(self.quantity.removesuffix("_reference"), ())
 
     def takes(self, units: str) -> bool:
@@ -58,11 +58,12 @@ class ElmoRecorderCsvSettings(DetectableFormat, RecordSettings):
     signals: Annotated[dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], RecordedSignal], Field(min_length=1)]
     time_column: Heading | None = None
     time_units: Literal["s", "ms", "us"] | None = None  # where the heading names none
-    # of files without stamps
+    # between rows, of files without stamps
     interval_s: Annotated[float, Field(strict=True, gt=0, le=10, allow_inf_nan=False)] | None = None
     current_convention: CurrentConvention = CurrentConvention.AMPLITUDE
     counts_per_turn: PositiveInt | None = None
-    position_range: tuple[int, int] | None = SHIPPED_RANGE  # counts, where the drive's position wraps
+    # counts, at whose ends the drive's position wraps; None: it does not wrap
+    position_range: tuple[int, int] | None = SHIPPED_RANGE
     sign: Literal[-1, 1] = 1
 
     @model_validator(mode="after")
