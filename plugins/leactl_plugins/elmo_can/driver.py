@@ -566,6 +566,7 @@ class ElmoCan(Driver):
         self._port.send(0x300 + self._node, _motion_demand.pack(position.wrapped(angle), velocity))
 
     def _on_status(self, data: bytearray, _timestamp: float) -> None:
+        """Take state, mode and current from the TPDO that comes first after a SYNC."""
         if len(data) == 7:
             statusword, mode_number, _torque, current = _status.unpack(data)
             # even of a late answer, which is the newest status
@@ -582,6 +583,7 @@ class ElmoCan(Driver):
             self._refuse_length(1, data, 7)
 
     def _on_motion(self, data: bytearray, _timestamp: float) -> None:
+        """Take position and velocity from the TPDO that comes second after a SYNC."""
         if len(data) == 8:
             answers = self._answers
             if answers.watched:
@@ -608,6 +610,7 @@ class ElmoCan(Driver):
             )
 
     def _on_voltage(self, data: bytearray, _timestamp: float) -> None:
+        """Take the q-axis voltage from the TPDO that comes third after a SYNC."""
         voltage = self.settings.q_axis_voltage
         if voltage is None:
             return
@@ -626,6 +629,7 @@ class ElmoCan(Driver):
             self._refuse_length(3, data, length)
 
     def _on_clock(self, data: bytearray, _timestamp: float) -> None:
+        """End the run if the drive's answers are late by its own clock."""
         if self.settings.drive_clock is not None and len(data) == 4:
             delay = self._life.answer_delay.see(int.from_bytes(data, "little"), self._clock.now())
             if delay:
@@ -677,6 +681,7 @@ class ElmoCan(Driver):
             )
 
     def _on_sdo(self, data: bytearray, timestamp: float) -> None:
+        """Take the bus voltage or the status of the safe torque off; pass other answers on to the present transfer."""
         has_four_bytes = len(data) == 8 and data[0] in FOUR_BYTE_COMMANDS
         if data[1:4] == STO_STATUS:
             if has_four_bytes:

@@ -120,6 +120,7 @@ class ElmoEmulator:
         return answers + self._report_changes() if self._is_change_unreported else answers
 
     def _answer(self, frame: Frame, now: float) -> list[Frame]:
+        """Return the answers to a frame, without the TPDOs that report a change."""
         identifier, data = frame
         if identifier == 0x080 and self.nmt == OPERATIONAL:
             return self._sync(now)
@@ -247,6 +248,7 @@ class ElmoEmulator:
         return entry
 
     def _upload(self, index: int, sub: int) -> bytes:
+        """Return the frame with the value of an object; raise Abort if there is none."""
         kind = self._entry(index, sub).kind
         size = SIZES[kind]
         if index not in _UNMEASURED_OBJECTS:
@@ -255,6 +257,7 @@ class ElmoEmulator:
         return struct.pack("<BHB", 0x43 | (4 - size) << 2, index, sub) + raw.ljust(4, b"\0")
 
     def _download(self, index: int, sub: int, raw: bytes, now: float) -> None:
+        """Write an object and react to its new value; raise Abort if the drive refuses it."""
         entry = self._entry(index, sub)
         if not entry.writable:
             raise Abort(ABORT_READ_ONLY)
@@ -407,7 +410,7 @@ class ElmoEmulator:
         ]
 
     def _control(self, previous: int, controlword: int) -> None:
-        """One transition of the state machine (402IG, controlword decode); an illegal word changes nothing."""
+        """Make one transition of the state machine (402IG, controlword decode); an illegal word changes nothing."""
         state = self.state
         if state == "fault":
             if controlword & 0x80 and not previous & 0x80:

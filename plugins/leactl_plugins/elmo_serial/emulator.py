@@ -152,7 +152,7 @@ class ElmoSerialEmulator:
         self.frozen = frozen
 
     def fault(self, code: int) -> None:
-        """Shut the motor down and latch the bit of MF for the code of an emergency message."""
+        """Switch the motor off, and latch the bit of MF for the code of an emergency message."""
         self._switch(False)
         self.fault_bits = bits_of(code)
 

@@ -198,7 +198,7 @@ class Interpreter:
         while self._port.take_line() is not None:
             self.surplus += 1
 
-    def ask(self, *commands: str, within_s: float, tries: int = 3) -> Replies:
+    def ask(self, *commands: str, within_s: float, attempts: int = 3) -> Replies:
         """Make an exchange and wait for its answers; it is repeated if it is lost or garbled.
 
         Raises
@@ -208,16 +208,20 @@ class Interpreter:
         DeviceError : the line is gone.
         """
         no_answer = NoAnswer(f"no answer to {', '.join(commands) or 'the interpreter'} in {within_s:g} s")
-        for number in range(tries):
-            self.begin(commands, prefix=SPOIL_COMMAND if number else b"")
+        for attempt in range(attempts):
+            self.begin(commands, prefix=SPOIL_COMMAND if attempt else b"")
             replies = self.collect(self._clock.now() + within_s)
             if replies is None:
                 continue
-            assignments = {command: code for command, code in replies.refused.items() if _has_empty_answer(command)}
-            if number < tries - 1 and any(code in GARBLED_COMMAND_ERRORS for code in assignments.values()):
+            refused_assignments = {
+                command: error_number for command, error_number in replies.refused.items() if _has_empty_answer(command)
+            }
+            if attempt < attempts - 1 and any(
+                error_number in GARBLED_COMMAND_ERRORS for error_number in refused_assignments.values()
+            ):
                 continue
-            for command, code in assignments.items():
-                raise CommandRefused(command, code)
+            for command, error_number in refused_assignments.items():
+                raise CommandRefused(command, error_number)
             return replies
         self.give_up()
         raise no_answer

@@ -98,7 +98,7 @@ def upload_recording(interpreter: Interpreter, answer_s: float) -> OwnRecording:
         if (signal_mask >> (signal_slot - 1)) & 1:
             number = interpreter.ask(f"RV[{signal_slot}]", within_s=answer_s).integer(f"RV[{signal_slot}]")
             command = f"{UPLOAD_COMMAND}{1 << (signal_slot - 1)}"
-            answer = interpreter.ask(command, within_s=LONGEST_UPLOAD_S, tries=1).text(command)
+            answer = interpreter.ask(command, within_s=LONGEST_UPLOAD_S, attempts=1).text(command)
             uploads[SIGNALS.get(number, f"signal {number}")] = upload = parse_upload(answer)
             if upload.gap != gap:
                 raise Unreadable(f"{command} was answered by a gap of {upload.gap} where RG is {gap}")

@@ -37,7 +37,7 @@ AMPLITUDE_PER_Q_AXIS = math.sqrt(2.0 / 3.0)  # of a phase current, per ampere of
 TURN = 2.0 * math.pi
 FARTHEST_TURNS = 1024.0  # up to this position, single precision resolves 0.4 mrad
 ENABLE_TIME_S = 2.0  # time for the controller to enter operation
-MOST_TRIES = 3  # of the first query: a frame may get lost
+MOST_TRIES = 3  # of the identity query: a frame may get lost
 SECOND_ANSWER_S = 0.01  # time for a second controller of the same number to answer too
 NOTICE_PERIOD_S = 1.0  # at most one notice of a kind in this time
 LEAST_COMPARED_AMPLITUDE_A = 1.0  # at lower currents, torque and current are not compared
@@ -544,6 +544,7 @@ class MoteusCan(Driver):
     # -- frames ------------------------------------------------------------------------------------------------------
 
     def _on_frame(self, data: bytearray, _timestamp: float) -> None:
+        """Pass on text to the configuration, and take an answer to the last query."""
         frame = bytes(data)
         try:
             reply = parse(frame)

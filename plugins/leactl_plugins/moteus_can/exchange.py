@@ -26,10 +26,14 @@ class RegisterQuery(NamedTuple):
     registers: frozenset[int]  # their numbers
 
 
-def query(*parts: tuple[Register, int, Resolution]) -> RegisterQuery:
-    """Return a query of registers; each part is the first register, the number of registers, and their resolution."""
-    registers = {number for first, count, _ in parts for number in range(first, first + count)}
-    subframes = read(NUMBER_REGISTER) + b"".join(read(*part) for part in parts)
+def query(*register_ranges: tuple[Register, int, Resolution]) -> RegisterQuery:
+    """Return a query of registers; each range is its first register, their number, and their resolution."""
+    registers = {
+        number
+        for first_register, count, _ in register_ranges
+        for number in range(first_register, first_register + count)
+    }
+    subframes = read(NUMBER_REGISTER) + b"".join(read(*register_range) for register_range in register_ranges)
     return RegisterQuery(subframes, frozenset((NUMBER_REGISTER, *registers)))
 
 

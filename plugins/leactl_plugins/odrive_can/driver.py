@@ -120,16 +120,16 @@ class OdriveCan(EngagingDrive):
                 self._set_state(AxisState.IDLE)
                 answer_deadline = min(deadline, self._clock.now() + 0.25)
                 # the version first, so that the heartbeat was sent after the command
-                heard = self._wait_for_version(answer_deadline) and self._wait_for_heartbeat(answer_deadline)
+                has_answered = self._wait_for_version(answer_deadline) and self._wait_for_heartbeat(answer_deadline)
             except DeviceError as error:
-                heard, reason = False, str(error)
+                has_answered, reason = False, str(error)
                 self._clock.sleep_until(min(deadline, self._clock.now() + 0.01))
             else:
-                reason = f"state {self.axis_state}" if heard else "no heartbeat"
-            if heard and self.axis_state == AxisState.IDLE:
+                reason = f"state {self.axis_state}" if has_answered else "no heartbeat"
+            if has_answered and self.axis_state == AxisState.IDLE:
                 self._safe = True
                 return Confirmation(True, "axis idle")
-            if not heard:
+            if not has_answered:
                 with suppress(DeviceError):
                     self._port.reopen()
         return Confirmation(False, f"not confirmed within {deadline_s:g} s: {reason}")
@@ -535,6 +535,7 @@ class OdriveCan(EngagingDrive):
             self._heard_until = self._clock.now() + self._longest_silence
 
     def _on_encoder(self, data: bytearray, _timestamp: float) -> None:
+        """Take position and velocity, the first answer of a cycle."""
         if len(data) == TWO_FLOATS.size:
             answers = self._answers
             if answers.watched and not answers.take(ENCODER, self._clock.now()):
@@ -544,6 +545,7 @@ class OdriveCan(EngagingDrive):
             answers.came[ENCODER] = True
 
     def _on_iq(self, data: bytearray, _timestamp: float) -> None:
+        """Take the measured current, the second answer of a cycle."""
         if len(data) == TWO_FLOATS.size:
             answers = self._answers
             if answers.watched:

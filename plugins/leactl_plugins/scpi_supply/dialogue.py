@@ -199,13 +199,13 @@ class ScpiDialogue:
         ------
         DeviceError : a level reads back as another value.
         """
-        dialect, before = self._dialect, self._commanded
+        dialect, earlier_levels = self._dialect, self._commanded
         target = CommandedLevels(voltage, max(current, dialect.lowest_current))
         self._settings_read_at, read_at = math.inf, 0.0  # no check of the settings while they change
         self._regulation.begin_anew()
         levels = (
-            (dialect.current, target.current, before.current),
-            (dialect.voltage, target.voltage, before.voltage),
+            (dialect.current, target.current, earlier_levels.current),
+            (dialect.voltage, target.voltage, earlier_levels.voltage),
         )
         for level, value, earlier_value in levels:
             if value <= earlier_value:

@@ -157,8 +157,8 @@ class ScpiSupplyEmulator:
         if any(not 1 <= number <= len(self.outputs) for number in numbers):
             self._queue_error(OUT_OF_RANGE)
             return []
-        named = [self.outputs[number - 1] for number in numbers] or [self.selected]
-        return [answer for output in named if (answer := act(output, value.strip())) is not None]
+        named_outputs = [self.outputs[number - 1] for number in numbers] or [self.selected]
+        return [answer for output in named_outputs if (answer := act(output, value.strip())) is not None]
 
     def _queue_error(self, error: tuple[int, str]) -> None:
         """Append number and text of an error to the error queue."""
@@ -207,6 +207,7 @@ class ScpiSupplyEmulator:
         }
 
     def _e36xx(self) -> dict[str, OutputAction]:
+        """Return the further commands of a Keysight E36xx."""
         return {
             **self._panel_commands(),
             **self._protection_commands("[SOURce:]VOLTage:PROTection", "[:LEVel]", ":TRIPped?", "over_voltage"),
@@ -216,6 +217,7 @@ class ScpiSupplyEmulator:
         }
 
     def _e36300(self) -> dict[str, OutputAction]:
+        """Return the further commands of a Keysight E36300."""
         level = self._protection_commands("[SOURce:]VOLTage:PROTection", "[:LEVel]", ":TRIPped?", "over_voltage")
         return {
             **self._panel_commands(),
@@ -234,6 +236,7 @@ class ScpiSupplyEmulator:
         }
 
     def _dp800(self) -> dict[str, OutputAction]:
+        """Return the further commands of a Rigol DP800."""
         pair = TRACKING.get(self.model, ())
         commands_of_several: dict[str, OutputAction] = {
             "STATus:QUEStionable:INSTrument:ISUMmary<n>:CONDition?": lambda output, _: self._register_text(
@@ -255,6 +258,7 @@ class ScpiSupplyEmulator:
         }
 
     def _spd3303(self) -> dict[str, OutputAction]:
+        """Return the further commands of a Siglent SPD3303X."""
         return {
             "INSTrument": lambda output, _: setattr(self, "selected", output),
             "SYSTem:STATus?": lambda *_: f"0x{self._status():x}",

@@ -134,5 +134,5 @@ assert set(UNIT_NAMES) == set(known_units("winding_temperature"))
 
 def unit_named(text: str) -> str | None:
     """Return the temperature unit that a text names; None if it names none."""
-    plain = text.strip().lower()
-    return next((unit for unit, names in UNIT_NAMES.items() if plain in names), None)
+    lower_text = text.strip().lower()
+    return next((unit for unit, names in UNIT_NAMES.items() if lower_text in names), None)
