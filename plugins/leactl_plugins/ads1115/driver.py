@@ -37,8 +37,8 @@ LONGEST_START_S = 0.005  # for the four bytes that start a conversion, over a sl
 MOST_SLOW_STARTS = 20  # in sequence, before the run ends
 
 
-class _Converter:
-    """Constants of one input that the loop needs, and the offset that a tare changes."""
+class _InputConversion:
+    """Conversion of one input: constants that the loop needs, and the offset that a tare changes."""
 
     def __init__(self, device: str, settings: AdcInput, is_only_input: bool) -> None:
         self.settings = settings
@@ -52,7 +52,7 @@ class _Converter:
             | RATES_SPS.index(settings.rate_sps) << 5
             | COMPARATOR_OFF
         )
-        self.conversion_s = 1.0 / settings.rate_sps + WAKE_UP_S
+        self.conversion_s = 1.0 / settings.rate_sps + WAKE_UP_S  # nominal duration
         self.value_per_count = settings.sign * settings.scale_per_V * settings.range_V / 32768
         self.offset = settings.sign * settings.scale_per_V * settings.offset_V
         self.calibrated_offset = self.offset
@@ -86,8 +86,8 @@ class Ads1115(Driver):
         self.name, self.role, self.settings = name, role, settings
         self._port, self._clock, self._address = port, clock, settings.address
         is_only_input = len(settings.inputs) == 1
-        self._converters = [_Converter(name, adc_input, is_only_input) for adc_input in settings.inputs]
-        self._converter_index = 0
+        self._conversions = [_InputConversion(name, adc_input, is_only_input) for adc_input in settings.inputs]
+        self._input_index = 0
         self._started: float | None = None
         self._slow_starts = 0  # starts in sequence that took too long
         self._opened = False
@@ -138,12 +138,12 @@ class Ads1115(Driver):
     def streams(self) -> tuple[StreamSpec, ...]:
         """One stream for each input."""
         specs = []
-        for converter in self._converters:
-            adc_input = converter.settings
+        for conversion in self._conversions:
+            adc_input = conversion.settings
             channel = ChannelSpec(
                 adc_input.name, adc_input.quantity, adc_input.role, self.name, adc_input.name, adc_input.location
             )
-            specs.append(StreamSpec(converter.stream, (channel,)))
+            specs.append(StreamSpec(conversion.stream, (channel,)))
         return tuple(specs)
 
     def take(self) -> Sequence[Row]:
@@ -157,17 +157,17 @@ class Ads1115(Driver):
         if started is None:
             self._start()
             return ()
-        converter = self._converters[self._converter_index]
+        conversion = self._conversions[self._input_index]
         elapsed = self._clock.now() - started
-        if elapsed < converter.conversion_s / RATE_TOLERANCE:
+        if elapsed < conversion.conversion_s / RATE_TOLERANCE:
             return ()
         config = self._port.read(self._address, CONFIG)
         if not config & START:
-            if elapsed > TIMEOUT_FACTOR * converter.conversion_s:
+            if elapsed > TIMEOUT_FACTOR * conversion.conversion_s:
                 raise NoAnswer(f"{self.name}: a conversion has not ended after {elapsed:.4f} s")
             return ()
-        row = self._row_of(converter, config, self._port.read(self._address, CONVERSION), started)
-        self._converter_index = (self._converter_index + 1) % len(self._converters)
+        row = self._row_of(conversion, config, self._port.read(self._address, CONVERSION), started)
+        self._input_index = (self._input_index + 1) % len(self._conversions)
         self._start()
         return (row,)
 
@@ -182,26 +182,26 @@ class Ads1115(Driver):
         ------
         DeviceError : a zero would be further from the calibrated one than `tare_limit_V`; no zero is changed then.
         """
-        converters = [converter for converter in self._converters if converter.stream in means]
-        for converter in converters:
-            distance = converter.offset + means[converter.stream] - converter.calibrated_offset
-            if not abs(distance) <= converter.largest_tare:
-                adc_input = converter.settings
+        conversions = [conversion for conversion in self._conversions if conversion.stream in means]
+        for conversion in conversions:
+            distance = conversion.offset + means[conversion.stream] - conversion.calibrated_offset
+            if not abs(distance) <= conversion.largest_tare:
+                adc_input = conversion.settings
                 raise DeviceError(
                     f"{self.name}: a tare would move the zero of input {adc_input.name} by"
                     f" {distance / adc_input.scale_per_V:+.4g} V ({distance:+.4g} {UNITS[adc_input.quantity]});"
                     f" tare_limit_V is {adc_input.most_tare_V:g} V: take the load off the sensor, or mend offset_V"
                 )
-        for converter in converters:
-            converter.offset += means[converter.stream]
-        return {converter.settings.name: converter.offset for converter in converters}
+        for conversion in conversions:
+            conversion.offset += means[conversion.stream]
+        return {conversion.settings.name: conversion.offset for conversion in conversions}
 
     def _start(self) -> None:
         """Start a conversion; raise NoAnswer after too many slow starts in sequence."""
-        converter, begun_at = self._converters[self._converter_index], self._clock.now()
-        self._port.write(self._address, CONFIG, converter.config)
+        conversion, begun_at = self._conversions[self._input_index], self._clock.now()
+        self._port.write(self._address, CONFIG, conversion.config)
         ended_at = self._clock.now()
-        duration, longest_duration = ended_at - begun_at, LONGEST_START_S + converter.conversion_s
+        duration, longest_duration = ended_at - begun_at, LONGEST_START_S + conversion.conversion_s
         if duration <= longest_duration:
             self._started, self._slow_starts = ended_at, 0
             return
@@ -214,20 +214,20 @@ class Ads1115(Driver):
                 " is the bus slow, or the host busy?"
             )
 
-    def _row_of(self, converter: _Converter, config: int, code: int, started: float) -> Row:
+    def _row_of(self, conversion: _InputConversion, config: int, code: int, started: float) -> Row:
         """Return the row of a conversion: its value, or NaN with the fault that makes it invalid."""
         count = code - 0x10000 if code & 0x8000 else code
-        mid_time = started + converter.conversion_s / 2
-        if (config ^ converter.config) & COMPARED_CONFIG_BITS or not converter.lowest <= count <= converter.highest:
-            return Row(converter.stream, mid_time, (math.nan,), self._fault_text(converter, config, count))
-        return Row(converter.stream, mid_time, (count * converter.value_per_count - converter.offset,))
+        mid_time = started + conversion.conversion_s / 2
+        if (config ^ conversion.config) & COMPARED_CONFIG_BITS or not conversion.lowest <= count <= conversion.highest:
+            return Row(conversion.stream, mid_time, (math.nan,), self._fault_text(conversion, config, count))
+        return Row(conversion.stream, mid_time, (count * conversion.value_per_count - conversion.offset,))
 
-    def _fault_text(self, converter: _Converter, config: int, count: int) -> str:
+    def _fault_text(self, conversion: _InputConversion, config: int, count: int) -> str:
         """Return why a conversion is invalid."""
-        adc_input = converter.settings
-        if (config ^ converter.config) & COMPARED_CONFIG_BITS:
+        adc_input = conversion.settings
+        if (config ^ conversion.config) & COMPARED_CONFIG_BITS:
             return (
-                f"input {adc_input.name} was converted by config 0x{config:04X}, 0x{converter.config:04X} was written;"
+                f"input {adc_input.name} was converted by config 0x{config:04X}, 0x{conversion.config:04X} was written;"
                 " was the converter reset, or is there another program on the bus?"
             )
         if count in (0x7FFF, -0x8000):

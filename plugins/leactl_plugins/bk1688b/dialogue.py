@@ -26,7 +26,7 @@ HIGHEST_DISPLAY_OVER_LIMIT = 1.2  # highest credible display of voltage or curre
 class Bk1688bDialogue:
     """Dialogue with the supply of these settings."""
 
-    off = f"\r{OFF}\r".encode("ascii")  # the first end closes what somebody has left half sent
+    off = f"\r{OFF}\r".encode("ascii")  # the first carriage return ends a command that was left incomplete
 
     def __init__(self, settings: Bk1688bSettings) -> None:
         self._settings, self._current_step = settings, settings.rating.current_step

@@ -10,11 +10,11 @@ from leactl.driver.supply_end import SupplyEnd
 from leactl_plugins.bk1688b.settings import LOWEST_VOLTAGE_V, RATINGS, STEP_V
 
 MOST_INPUT_BYTES = 64  # of an unfinished command, of which only the last are kept
-PRESET_COUNT = 3
+PRESET_COUNT = 3  # pairs of levels in the memory of the supply
 
 
 class Bk1688bEmulator(SupplyEnd):
-    """One supply that feeds a load."""
+    """One emulated supply that feeds a load."""
 
     def __init__(self, model: str, load: SupplyLoad, answer_s: float = 0.005) -> None:
         self.rating = RATINGS[model]

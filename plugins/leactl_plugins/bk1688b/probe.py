@@ -16,7 +16,7 @@ MAKER = "BK Precision"
 
 
 class Bk1688bProbe(LineProbe):
-    """Read voltage and current as three digits each; the supply reports no serial number or firmware."""
+    """Probe that reads a voltage and a current of three digits each; there is no serial number or firmware to read."""
 
     baudrates = (9600,)
 

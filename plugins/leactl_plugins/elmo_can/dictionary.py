@@ -16,7 +16,7 @@ SIZES = {"u8": 1, "i8": 1, "u16": 2, "i16": 2, "u32": 4, "i32": 4}
 
 
 class Abort(Exception):
-    """Refusal of an SDO transfer by the drive."""
+    """Refusal of an SDO transfer by the emulated drive, with the abort code of CiA 301."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"0x{code:08X}")

@@ -12,10 +12,10 @@ from leactl_plugins.elmo_can.commissioning import identity_of, read_optional_u32
 from leactl_plugins.elmo_can.sdo import Sdo
 from leactl_plugins.elmo_can.settings import NODES, ElmoSettings, identifiers_of
 
-REQUEST, ANSWER, HEARTBEAT = 0x600, 0x580, 0x700  # identifiers, each plus the node
+REQUEST, ANSWER, HEARTBEAT = 0x600, 0x580, 0x700  # identifiers, to which the number of the node is added
 HEARTBEAT_STATES = (0x00, 0x04, 0x05, 0x7F)
 READ_DEVICE_TYPE = bytes.fromhex("4000100000000000")  # 0x1000:0, which every node has
-UPLOADED, ABORTED = 0x43, 0x80
+UPLOADED, ABORTED = 0x43, 0x80  # first byte of an answer with four bytes, or of a refusal
 REQUEST_COMMANDS = (0x40, 0x21, 0x22, 0x23, 0x27, 0x2B, 0x2F)  # first byte of a client's request
 FIRST_OBJECT = 0x1000  # lowest index of an object (CiA 301)
 REQUEST_PERIOD_S = 0.003  # time from one node to the next; request and answer take 2.2 ms at 125 kbit/s

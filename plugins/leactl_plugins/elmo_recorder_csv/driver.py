@@ -106,7 +106,7 @@ class ElmoRecorderCsv(Driver):
             for heading in dict.fromkeys([*filter(None, [time_heading]), *headings_by_signal.values()])
         }
         numbers_by_heading, number_format = read_numbers(columns, settings, table.place, {})
-        time, time_remark = self._time(table, numbers_by_heading.get(time_heading), time_heading)
+        time, time_remark = self._row_times(table, numbers_by_heading.get(time_heading), time_heading)
         wrap_remarks: list[str] = []
         values = np.stack(
             [
@@ -127,7 +127,7 @@ class ElmoRecorderCsv(Driver):
             raise InputError(f"{paths[0]}: no number at all in {', '.join(empty_signals)}")
         interval = float(np.median(np.diff(ordered.time))) if len(ordered.time) > 1 else 0.0
         unit_remarks = [
-            f"{headings_by_signal[name]} as {self._unit(table, headings_by_signal[name], signal)}"
+            f"{headings_by_signal[name]} as {self._unit_of(table, headings_by_signal[name], signal)}"
             for name, signal in settings.signals.items()
         ]
         remarks = (*table.remarks, str(number_format), *unit_remarks, *wrap_remarks, time_remark, *ordered.remarks)
@@ -142,7 +142,7 @@ class ElmoRecorderCsv(Driver):
             tuple(paths),
         )
 
-    def _time(self, table: Table, stamps: Numbers | None, heading: str) -> tuple[Array, str]:
+    def _row_times(self, table: Table, stamps: Numbers | None, heading: str) -> tuple[Array, str]:
         """Return the times of the rows [s], and a remark on them; raise InputError if their unit is not clear."""
         settings = self.settings
         if stamps is None:
@@ -164,7 +164,7 @@ class ElmoRecorderCsv(Driver):
             return time, f"stamps in {units}, UNEVEN: {steps.min():.6g} to {steps.max():.6g} s apart"
         return time, f"stamps in {units}"
 
-    def _unit(self, table: Table, heading: str, signal: RecordedSignal) -> str:
+    def _unit_of(self, table: Table, heading: str, signal: RecordedSignal) -> str:
         """Return the unit of a signal's column; raise InputError if it is not clear or is not one of its quantity."""
         stated_unit = unit_of(heading)
         if signal.units is not None:
@@ -193,7 +193,7 @@ class ElmoRecorderCsv(Driver):
         wrap_remarks: list[str],
     ) -> Array:
         """Return a signal's column in its SI unit, with the sign of the settings; raise InputError if it is invalid."""
-        numbers, units, settings = numbers_by_heading[heading], self._unit(table, heading, signal), self.settings
+        numbers, units, settings = numbers_by_heading[heading], self._unit_of(table, heading, signal), self.settings
         if numbers.over_range:
             raise InputError(
                 f"{table.path}: {heading!r} holds {next(iter(numbers.over_range))!r}; a number was expected"

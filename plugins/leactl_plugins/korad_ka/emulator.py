@@ -19,7 +19,7 @@ HIGHEST_LEVEL_OVER_RATING = 1.03  # highest level that can be set: libsigrok has
 
 
 class KoradEmulator(SupplyEnd):
-    """One supply that feeds a load."""
+    """One emulated supply that feeds a load."""
 
     def __init__(
         self,

@@ -10,7 +10,7 @@ from leactl_plugins.korad_ka.settings import model_of
 
 
 class KoradProbe(LineProbe):
-    """Asks for name, firmware and serial number."""
+    """Probe that asks for name, firmware and serial number."""
 
     baudrates = (9600,)
 

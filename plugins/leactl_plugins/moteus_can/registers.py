@@ -22,7 +22,7 @@ class Register(IntEnum):
     TEMPERATURE = 0x00E  # degC, of the board
     FAULT = 0x00F
     PWM_PHASE_A = 0x010  # followed in PWM mode alone
-    COMMAND_Q_CURRENT = 0x01C  # followed in current mode alone, which knows no time-out
+    COMMAND_Q_CURRENT = 0x01C  # followed in current mode alone, in which commands do not expire
     COMMAND_POSITION = 0x020  # NaN: wherever the shaft is
     COMMAND_VELOCITY = 0x021
     COMMAND_FEEDFORWARD_TORQUE = 0x022
@@ -40,7 +40,7 @@ class Register(IntEnum):
 
 
 class OperatingMode(IntEnum):
-    """Values of the mode register that are used here; 2 to 4 are on the way from stopped to another one."""
+    """Values of the mode register that are used here; a controller passes 2 to 4 from stopped to another mode."""
 
     STOPPED = 0
     FAULT = 1

@@ -18,7 +18,7 @@ from leactl_plugins.scpi_supply.models import TRACKING
 RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 0.005, 0.01  # of a level that is read back: a share of it, plus V or A
 # over-voltage protection: the data sheets of the E36xx state 0.5 % and 0.5 V, and so does Rigol for its supplies
 PROTECTION_ACCURACY = TripAccuracy(0.005 + RELATIVE_TOLERANCE, 0.5 + ABSOLUTE_TOLERANCE)
-UNKNOWN_ACCURACY = TripAccuracy(0.0, math.inf)  # so that no level counts as a protection
+UNKNOWN_ACCURACY = TripAccuracy(0.0, math.inf)  # infinite, so that no level counts as a protection
 LOWEST_CURRENT_E36300 = 0.002  # A, that can be set; an E36312A answers this or less to CURR? MIN
 OVER_VOLTAGE, OVER_CURRENT = "over-voltage protection", "over-current protection"
 KEYSIGHT_NUMBER = re.compile(r"[+-]\d\.\d{8}E[+-]\d\d", re.ASCII)  # every answer has this length
@@ -67,7 +67,7 @@ class ScpiDialect(NamedTuple):
     remote: str = "SYST:REM"  # empty: there is no such command
     local: str = "SYST:LOC"
     required_answers: tuple[RequiredAnswer, ...] = ()
-    select: Level | None = None  # selects this output, on which a command acts if its end with the channel list is lost
+    select: Level | None = None  # selects this output: a command that loses its channel list on the line acts on it
     set_range: str = ""  # empty: the family has no output ranges that can be set
     decimals: int = 4  # of a level in a command
     lowest_current: float = 0.0  # A, lowest level that can be set

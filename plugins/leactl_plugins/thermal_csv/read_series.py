@@ -20,7 +20,7 @@ LOWEST_READING, HIGHEST_READING = -460.0, 6000.0  # of a camera, in any unit of 
 ABSOLUTE_ZERO_DEGC, ZERO_TOLERANCE_K = -273.15, 0.01  # the tolerance covers the rounding of a number at absolute zero
 HOT_DEGC = 200.0  # above the temperature of any part of an actuator, and below room temperature in kelvin
 RANGE_MARGIN = 10.0  # on both sides of the range of the surrounding numbers, in any unit
-LEAST_USUAL_NUMBERS = 2  # with a decimal mark, with which other numbers are compared
+LEAST_USUAL_NUMBERS = 2  # numbers with a decimal mark; with fewer, others are not compared
 EMISSIVITY = re.compile(r"emissivity|emissivit|emissionsgrad|发射率|辐射率|\bε", re.IGNORECASE)
 UNIT_LINE = re.compile(r"^(temperature\s*)?units?$|^temp\w*\s*unit|单位|単位|단위", re.IGNORECASE)
 
