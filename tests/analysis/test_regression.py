@@ -54,7 +54,7 @@ def test_lack_of_fit_is_found_as_often_as_its_probability_says():
     assert np.mean([item.p_value < 0.25 for item in found]) == pytest.approx(0.25, abs=0.04)
     assert {item.dof for item in found} == {3}
     curved = partial_f_test(line, level**2 + rng.normal(0.0, 0.1, 30), indicator_columns(level))
-    assert curved.clear
+    assert curved.is_significant
 
 
 def test_what_leaves_nothing_to_test_has_no_departure():
