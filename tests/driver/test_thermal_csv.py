@@ -308,6 +308,7 @@ def test_clocks_of_every_kind(tmp_path, stamps, given, times, began):
         (("0", "33 ms", "1 s"), {}, "line 2, column 'Time' holds numbers in ms and s"),
         (("17", "18"), {"kind": "frame"}, "time.frame_rate_Hz is needed"),
         (("17", "18.5"), {"kind": "frame", "frame_rate_Hz": 10.0}, "18.5 is no frame number"),
+        (("17", "nan", "18.5"), {"kind": "frame", "frame_rate_Hz": 10.0}, "18.5 is no frame number"),
         (("noon", "midnight"), {}, "'noon' is no date and time"),
         (("17", "18"), {"kind": "wall"}, "a plain number; time.kind says wall"),
         (("10:00:00", ""), {}, "line 3.*'' is no date and time"),

@@ -3,7 +3,6 @@
 An ambiguous stamp, such as 01/02/2026, is refused with the name of the setting that decides.
 """
 
-import math
 import re
 from collections.abc import Callable, Sequence
 from datetime import UTC, date, datetime, time, timedelta
@@ -339,8 +338,8 @@ def read_frames(values: Array, settings: StampSettings, where: RowLocator) -> Ro
     """
     if settings.frame_rate_Hz is None:
         raise InputError(f"{where(0)}: frames by number; time.frame_rate_Hz is needed")
-    fractional_rows = np.flatnonzero(values != np.round(values))
-    if len(fractional_rows) and math.isfinite(values[fractional_rows[0]]):
+    fractional_rows = np.flatnonzero(np.isfinite(values) & (values != np.round(values)))
+    if len(fractional_rows):
         raise InputError(f"{where(int(fractional_rows[0]))}: {values[fractional_rows[0]]:g} is no frame number")
     frame_rate = settings.frame_rate_Hz
     return RowTimes(values / frame_rate, None, None, 1.0 / frame_rate, f"frame numbers at {frame_rate:g} Hz")
