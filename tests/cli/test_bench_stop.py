@@ -24,7 +24,7 @@ HOLD = """
 import sys, time
 from leactl.driver.contract import Confirmation
 from leactl.runner import runs_underway
-with runs_underway.announced(sys.argv[1], "rig.yaml", "hold", needed=True) as announcement:
+with runs_underway.announced(sys.argv[1], "rig.yaml", "hold", is_needed=True) as announcement:
     print("held", flush=True)
     while not announcement.stop_cause():
         time.sleep(0.01)

@@ -21,7 +21,7 @@ PERIOD = 0.01  # of `spin` [s]
 HOLD = """
 import sys, time
 from leactl.runner import runs_underway
-with runs_underway.announced("rig", "rig.yaml", "hold", needed=True):
+with runs_underway.announced("rig", "rig.yaml", "hold", is_needed=True):
     print("held", flush=True)
     time.sleep(60)
 """
