@@ -122,7 +122,7 @@ def plan(
         left_on_texts = [supply.summary for supply in supplies_left_on(expanded, windings, machine_bench)]
         hottest_degc = hottest(forecast)
         if forecast.turning_from_hz is not None:
-            slow_rate_note = f"note: {standing_text(forecast.turning_from_hz)}; rate_Hz is {expanded.rate_Hz:g}"
+            slow_rate_note = f"{standing_text(forecast.turning_from_hz)}; rate_Hz is {expanded.rate_Hz:g}"
         crossing_text = (
             "" if forecast.passing is None else f", up to step '{forecast.passing.step}', where the limit may be passed"
         )
@@ -130,7 +130,13 @@ def plan(
         rows = [row._asdict() for row in expanded.timeline()]
         body = {**head(expanded), "peaks": peaks(expanded, limits), "timeline": rows, "searches": searches(expanded)}
         if bench:
-            body |= {"hottest_degC": hottest_degc, "left_on": left_on_texts, "one_sensor": one_sensor_texts}
+            body |= {
+                "hottest_degC": hottest_degc,
+                "hottest_up_to": "" if forecast.passing is None else forecast.passing.step,
+                "left_on": left_on_texts,
+                "one_sensor": one_sensor_texts,
+                "rate_note": slow_rate_note,
+            }
         typer.echo(json.dumps(body))
         return
     typer.echo("\n".join(plan_lines(expanded, limits)))
@@ -139,7 +145,7 @@ def plan(
     for line in [*left_on_texts, *one_sensor_texts]:
         typer.echo(line)
     if slow_rate_note:
-        typer.echo(slow_rate_note, err=True)
+        typer.echo(f"note: {slow_rate_note}", err=True)
 
 
 def _checked(protocol: str) -> "Plan":

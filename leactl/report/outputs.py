@@ -21,15 +21,26 @@ def check_files(files: Sequence[Path], inputs: Sequence[Path], other_faults: Seq
     """
     input_files = {path.resolve() for path in inputs}
     faults = [f"{path}: is an input; name another file" for path in files if path.resolve() in input_files]
-    faults += [f"{path}: is no plain file" for path in files if path.exists() and not path.is_file()]
-    faults += [f"{path}: no folder {path.parent}" for path in files if not path.parent.is_dir()]
-    faults += [f"{path}: cannot be written: {reason}" for path in files if (reason := write_fault(path.parent))]
+    faults += [f"{path}: {reason}" for path in files if (reason := _reason_against(path))]
     resolved_paths = [path.resolve() for path in files]
     repeated_files = {path for path in files if resolved_paths.count(path.resolve()) > 1}
     faults += [f"{path}: is named for two outputs; give each a file of its own" for path in sorted(repeated_files)]
     faults += other_faults
     if faults:
         raise InputError(faults)
+
+
+def _reason_against(path: Path) -> str:
+    """Return the reason why an output file cannot be written; empty if there is none."""
+    try:
+        if path.exists() and not path.is_file():
+            return "is no plain file"
+        if not path.parent.is_dir():
+            return f"no folder {path.parent}"
+    except PermissionError as error:  # a folder above it may not be searched
+        return f"cannot be written: {error.strerror}"
+    reason = write_fault(path.parent)
+    return f"cannot be written: {reason}" if reason else ""
 
 
 def check_folder(folder: Path) -> None:
@@ -50,7 +61,7 @@ def write_fault(folder: Path) -> str:
     A temporary file is written to find out, since the disk may be mounted read-only.
     """
     if not folder.is_dir():
-        return ""  # check_files reports an absent folder
+        return ""  # the callers report an absent folder
     try:
         with tempfile.TemporaryFile(dir=folder):
             return ""

@@ -41,6 +41,13 @@ def test_gaps_and_repeats_do_not_pass_for_evidence():
     assert standard_error(np.full(100, 0.1)) == 0.0
 
 
+def test_an_infinite_sample_counts_as_a_gap():
+    values = np.random.default_rng(3).normal(size=500)
+    values[7] = np.inf
+    gap = np.where(np.isinf(values), np.nan, values)
+    assert standard_error(values) == standard_error(gap) > 0.0
+
+
 def test_an_instant_counts_from_start_to_before_stop():
     found = settled_mean(channel(np.arange(10.0), np.arange(10.0)), 2.0, 6.0)
     assert (found.value, found.samples, found.quarters) == (3.5, 4, (2.0, 3.0, 4.0, 5.0))

@@ -9,6 +9,8 @@ import pytest
 from scipy.signal import StateSpace, lsim
 
 from leactl.analysis.analyze import analyze_runs
+from leactl.analysis.heating.record import heating_records
+from leactl.analysis.heating.resistance import means_while_on
 from leactl.errors import InputError, MissingChannel, NotIdentifiable
 from leactl.runfile.read.reader import Run
 from tests.cli.terminal import leactl
@@ -51,6 +53,22 @@ def test_the_paper_s_network_comes_back(whole):
     assert result.find("line_resistance").value == pytest.approx(true["line_resistance"], rel=1e-3)
     assert result.find("rmse_over_noise").value == pytest.approx(1.0, abs=0.03)
     assert result.find("phase_resistance").value == pytest.approx(0.264, rel=1e-3)
+
+
+def test_frames_before_the_supply_was_read_are_in_no_bin(whole):
+    path, _ = whole
+    with Run.open(path) as run:
+        [record] = heating_records(run).value
+    rates = np.zeros((2, len(record.time)))
+    early = record.time[0] - record.supply.time[0] + 5.0
+    time, temperature, *_ = means_while_on(record, early, rates)
+    expected = np.interp(time, record.time - early, record.active)
+    np.testing.assert_allclose(temperature, expected, atol=1.0)
+
+
+def test_how_long_the_current_has_to_be_on_follows_from_the_intervals_of_the_readings(heated):
+    with pytest.raises(NotIdentifiable, match=r"about 128 s are needed"):
+        analyze_runs([heated.run(heat_s=100.0, cool_s=600.0, rate_Hz=1.0)], **EXACT)
 
 
 def test_errata_the_coefficient_is_4e_3_per_kelvin_and_gives_the_printed_current(whole):

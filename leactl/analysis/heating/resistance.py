@@ -23,8 +23,6 @@ SETTLING_S = 30.0  # left out after the current is switched on: the surface that
 SWITCHING_S = 2.0  # left out before the current is switched off
 SHORTEST_BIN_S, FEWEST_READINGS_IN_BIN = 1.0, 3  # width of a bin, and readings as well as frames in it
 FEWEST_BINS = 30
-# each bin needs a neighbour before and after
-LEAST_ON_S = SETTLING_S + (FEWEST_BINS + 2) * SHORTEST_BIN_S + SWITCHING_S
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +54,11 @@ def resistance_line(fit: NetworkFit, error_prefix: str) -> ResistanceLine:
         np.concatenate(column) for column in zip(*means_by_record, strict=True)
     )
     if len(time) < FEWEST_BINS or np.ptp(neighbour_temperature) <= 0.0:
+        widest_bin = max(bin_width_of(record) for record in fit.records)
+        least_on = SETTLING_S + (FEWEST_BINS + 2) * widest_bin + SWITCHING_S  # a bin needs one before and one after
         raise NotIdentifiable(
             f"{error_prefix}: the current was on, and the active windings seen, for too short a time to tell their"
-            f" resistance; {LEAST_ON_S:g} s are needed"
+            f" resistance; about {least_on:.0f} s are needed"
         )
     design = np.column_stack([np.ones(len(time)), temperature - REFERENCE_TEMPERATURE])
     instruments = np.column_stack([np.ones(len(time)), neighbour_temperature - REFERENCE_TEMPERATURE])
@@ -93,6 +93,12 @@ def resistance_line(fit: NetworkFit, error_prefix: str) -> ResistanceLine:
     )
 
 
+def bin_width_of(record: HeatingRecord) -> float:
+    """Return the width [s] of bins that hold enough readings of the supply and enough frames."""
+    intervals = (np.median(np.diff(clock)) for clock in (record.supply.time, record.time))
+    return max(SHORTEST_BIN_S, FEWEST_READINGS_IN_BIN * float(max(intervals)))
+
+
 def means_while_on(record: HeatingRecord, lag: float, rates: Array) -> tuple[Array, Array, Array, Array, Array]:
     """Return means over the bins in which the current is on throughout, shape (bins,) each.
 
@@ -106,15 +112,12 @@ def means_while_on(record: HeatingRecord, lag: float, rates: Array) -> tuple[Arr
     for first, last in zip(switch_indices[::2], switch_indices[1::2] - 1, strict=True):
         start = supply.time[first] + (SETTLING_S if first else 0.0)
         settled |= (supply.time > start) & (supply.time < supply.time[last] - SWITCHING_S)
-    bin_width = max(
-        SHORTEST_BIN_S,
-        FEWEST_READINGS_IN_BIN * float(max(np.median(np.diff(clock)) for clock in (supply.time, stamps))),
-    )
+    bin_width = bin_width_of(record)
     bin_of_reading, bin_of_frame = (
-        ((clock - supply.time[0]) / bin_width).astype(np.int64) for clock in (supply.time, stamps)
+        np.floor((clock - supply.time[0]) / bin_width).astype(np.int64) for clock in (supply.time, stamps)
     )
     bin_count = int(bin_of_reading[-1]) + 1
-    valid_frames = np.isfinite(record.active) & (bin_of_frame < bin_count)
+    valid_frames = np.isfinite(record.active) & (bin_of_frame >= 0) & (bin_of_frame < bin_count)
     bin_complete = np.bincount(bin_of_reading[settled], minlength=bin_count) == np.bincount(
         bin_of_reading, minlength=bin_count
     )

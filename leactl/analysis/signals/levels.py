@@ -235,7 +235,7 @@ def standard_error(values: Array) -> float:
     deviation = np.where(finite, values - values[finite].mean(), 0.0)
     square_sum = float(deviation @ deviation)
     # constant but for rounding, 1e-15 of the largest value
-    if square_sum <= 1e-30 * count * float(np.nanmax(np.abs(values))) ** 2:
+    if square_sum <= 1e-30 * count * float(np.max(np.abs(values[finite]))) ** 2:
         return 0.0
     size = 1 << (2 * len(values) - 1).bit_length()
     spectrum = np.fft.rfft(deviation, size)
