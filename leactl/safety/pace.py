@@ -15,36 +15,39 @@ class Pace:
     def __init__(self, overruns: LoopOverruns, clock: ClockJump, trip: Trip, now: float) -> None:
         self._overruns, self._clock, self._trip = overruns, clock, trip
         self.period, self._longest_step = math.inf, math.inf
-        # a check between these times keeps the pace, and needs no `look`
-        self.last_check, self.latest_check = now, math.inf
+        # a check from previous_check to check_deadline is on time; the supervisor moves both without `judge_late`
+        self.previous_check, self.check_deadline = now, math.inf
         self._in_a_row, self._last_overrun_at, self._most_overruns = 0, math.nan, math.inf
         self._overrun_times: deque[float] = deque()
 
     def begin(self, period: float, now: float) -> None:
         """Begin with cycles of `period` [s] at the time `now` [s]."""
-        self.period, self.last_check, self.latest_check = period, now, now + period
+        self.period, self.previous_check, self.check_deadline = period, now, now + period
         self._longest_step = max(self._clock.jump_s, LEAST_JUMP_CYCLES * period)
         self._most_overruns = self._overruns.share_percent / 100 * self._overruns.window_s / period
 
-    def look(self, now: float) -> None:
-        """Judge a check before `last_check` or after `latest_check`: the clock went back, or the loop is late.
+    def judge_late(self, now: float) -> None:
+        """Trip if the clock has jumped or too many checks are late.
+
+        It is called only for a check that is not within `previous_check` to `check_deadline`.
 
         Raises
         ------
         SafetyTrip : by way of `trip`.
         """
         self._judge(now)
-        self.latest_check = now + 2 * self.period
-        self.last_check = now
+        # the next check is due in one period and may be late by another
+        self.check_deadline = now + 2 * self.period
+        self.previous_check = now
 
     def _judge(self, now: float) -> None:
         """Trip on a step of the clock, or count an overrun and trip if there are too many."""
-        step = now - self.last_check
+        step = now - self.previous_check
         if not step >= 0:
             self._trip(f"the bench's clock went back by {-step:.4g} s")
         if step > self._longest_step:
             self._trip(f"the bench's clock went on by {step:.4g} s in one cycle; {self._longest_step:g} s are allowed")
-        self._in_a_row = self._in_a_row + 1 if self.last_check == self._last_overrun_at else 1
+        self._in_a_row = self._in_a_row + 1 if self.previous_check == self._last_overrun_at else 1
         self._last_overrun_at = now
         self._overrun_times.append(now)
         while now - self._overrun_times[0] > self._overruns.window_s:

@@ -339,12 +339,12 @@ class Supervisor:
         if self.tripped:
             raise SafetyTrip(self.tripped)
         pace = self._pace
-        elapsed = now - pace.last_check
-        if elapsed >= 0.0 and now <= pace.latest_check:
-            pace.last_check = now
-            pace.latest_check += pace.period
+        elapsed = now - pace.previous_check
+        if elapsed >= 0.0 and now <= pace.check_deadline:
+            pace.previous_check = now
+            pace.check_deadline += pace.period
         else:
-            pace.look(now)
+            pace.judge_late(now)
         flowing, shortest_stall = self._heating
         is_on_time = elapsed < shortest_stall
         for (

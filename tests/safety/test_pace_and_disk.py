@@ -26,8 +26,8 @@ def pace(**overruns):
 def late_at(made, *times):
     """Overruns that do not follow one another: a check in time lies before each."""
     for now in times:
-        made.last_check = now - 3.0 * PERIOD_S
-        made.look(now)
+        made.previous_check = now - 3.0 * PERIOD_S
+        made.judge_late(now)
 
 
 def test_an_overrun_counts_for_the_whole_window_and_no_longer():
@@ -40,20 +40,20 @@ def test_an_overrun_counts_for_the_whole_window_and_no_longer():
 def test_overruns_in_a_row_are_counted_anew_after_a_cycle_in_time():
     made = pace(share_percent=99.0, window_s=600.0, in_a_row=3)
     for now in (1.0, 1.5):
-        made.look(now)
-    made.last_check = 1.75  # a cycle in time
+        made.judge_late(now)
+    made.previous_check = 1.75  # a cycle in time
     for now in (2.0, 2.5):
-        made.look(now)
+        made.judge_late(now)
     with pytest.raises(SafetyTrip, match="3 loop overruns in a row"):
-        made.look(3.0)
+        made.judge_late(3.0)
 
 
 def test_a_clock_may_stand_still_and_step_by_what_is_allowed():
     made = pace(share_percent=99.0, window_s=600.0)
-    made.look(0.0)
-    made.look(10.0)
+    made.judge_late(0.0)
+    made.judge_late(10.0)
     with pytest.raises(SafetyTrip, match=r"went on by 10\.12 s in one cycle; 10 s are allowed"):
-        made.look(20.125)
+        made.judge_late(20.125)
 
 
 def test_free_space_at_its_limits_is_enough():
