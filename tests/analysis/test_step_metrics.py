@@ -7,7 +7,7 @@ import pytest
 
 from leactl.analysis.responses.step_metrics import overshoot, rise_time, settling_time
 from leactl.analysis.responses.step_trials import StepTrial
-from leactl.analysis.statistics.jackknife import mean_of_levels, over_trials
+from leactl.analysis.statistics.jackknife import jackknife_over_trials, mean_of_levels
 from tests.analysis.control_runs import ringing
 
 SAMPLE_S = 1e-3
@@ -17,7 +17,9 @@ SEEDS = 40
 
 def estimate(figure, levels):
     return mean_of_levels(
-        "", "", [over_trials(len(own), lambda kept, own=own: figure([own[k] for k in kept])) for own in levels]
+        "",
+        "",
+        [jackknife_over_trials(len(own), lambda kept, own=own: figure([own[k] for k in kept])) for own in levels],
     )
 
 

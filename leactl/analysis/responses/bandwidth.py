@@ -13,7 +13,7 @@ import numpy as np
 
 from leactl.analysis.estimate import NAN, Estimate, Noted
 from leactl.analysis.responses.blackman_tukey import BlackmanTukey, Mask, Response, Spectra, sum_of_spectra
-from leactl.analysis.statistics.jackknife import LevelValue, TrialFigure, mean_of_levels, over_trials
+from leactl.analysis.statistics.jackknife import JackknifedFigure, LevelFigure, jackknife_over_trials, mean_of_levels
 from leactl.analysis.statistics.regression import Array
 
 HALF_POWER = math.sqrt(0.5)
@@ -108,17 +108,17 @@ def crossing_bounds(response: Response, known: Mask, level: Array) -> tuple[floa
 
 def _crossing_of_level(
     method: BlackmanTukey, spectra: Sequence[Spectra], known: Mask, gains: tuple[Array, Array, Array]
-) -> LevelValue:
+) -> JackknifedFigure:
     """Return the frequency at which one level's gain passes -3 dB, with its scatter over the trials.
 
     `gains` are the gains that mark the crossing: -3 dB, and those of samples with an early and with a late drive.
     """
     all_spectra = sum_of_spectra(spectra)
 
-    def crossing(trials: Sequence[int]) -> TrialFigure:
+    def crossing(trials: Sequence[int]) -> LevelFigure:
         left_out = [spectrum for index, spectrum in enumerate(spectra) if index not in trials]
         response = method.response(all_spectra.plus(sum_of_spectra(left_out), -1) if left_out else all_spectra)
         (low, high), (lowest, _), (_, highest) = (crossing_bounds(response, known, gain) for gain in gains)
-        return TrialFigure(low, shared=(max(low - lowest, highest - low),)) if low == high else TrialFigure(NAN)
+        return LevelFigure(low, shared=(max(low - lowest, highest - low),)) if low == high else LevelFigure(NAN)
 
-    return over_trials(len(spectra), crossing)
+    return jackknife_over_trials(len(spectra), crossing)

@@ -22,7 +22,7 @@ from leactl.analysis.responses.step_curve import (
 )
 from leactl.analysis.responses.step_trials import SETTLING_BAND, StepTrial, rounding_limit_of
 from leactl.analysis.statistics.intervals import rounding_limit
-from leactl.analysis.statistics.jackknife import TrialFigure
+from leactl.analysis.statistics.jackknife import LevelFigure
 from leactl.analysis.statistics.regression import Array
 
 BIN_GROWTH = 0.02  # width of a bin for the settling time, over the time since the jump
@@ -40,7 +40,7 @@ FEWEST_BINS = 8  # of either polynomial
 BAND_NEAR, BAND_FAR = 0.4, 2.0  # distances over the band's, between which the curve through the last entry is fitted
 
 
-def rise_time(trials: Sequence[StepTrial]) -> TrialFigure:
+def rise_time(trials: Sequence[StepTrial]) -> LevelFigure:
     """Return the time from 10 % to 90 % of the steady value [s]."""
     curve = mean_step_response(trials)
     half_index = int(np.argmax(curve.value >= 0.5))
@@ -58,10 +58,10 @@ def rise_time(trials: Sequence[StepTrial]) -> TrialFigure:
         (1 - RISE_START) * low_rounding - (1 - RISE_END) * high_rounding,
         RISE_START * low_rounding - RISE_END * high_rounding,
     )
-    return TrialFigure(high_crossing.time - low_crossing.time, (low_crossing.limit, high_crossing.limit), roundings)
+    return LevelFigure(high_crossing.time - low_crossing.time, (low_crossing.limit, high_crossing.limit), roundings)
 
 
-def overshoot(trials: Sequence[StepTrial]) -> TrialFigure:
+def overshoot(trials: Sequence[StepTrial]) -> LevelFigure:
     """Return the highest point above the steady value [%]; zero if noise and rounding hide it."""
     curve = mean_step_response(trials)
     excess = curve.value - 1.0
@@ -70,7 +70,7 @@ def overshoot(trials: Sequence[StepTrial]) -> TrialFigure:
     noise_and_rounding = math.hypot(bin_error, curve.quantum / math.sqrt(12.0))
     steady_rounding = 100.0 * rounding_limit_of(curve.noise, curve.quantum)
     if excess[top] < LEAST_OVERSHOOT_ERRORS * noise_and_rounding:
-        return TrialFigure(0.0, per_level=(steady_rounding, max(steady_rounding, 100.0 * float(excess[top]))))
+        return LevelFigure(0.0, per_level=(steady_rounding, max(steady_rounding, 100.0 * float(excess[top]))))
     smooth_excess = _averaged(curve, TOP_NOISE * float(excess[top])) - 1.0
     top = int(np.argmax(smooth_excess))
     for share in TOP_SHARES:
@@ -83,13 +83,13 @@ def overshoot(trials: Sequence[StepTrial]) -> TrialFigure:
         if residual_std <= (1.0 + MOST_RESIDUAL_STDS / math.sqrt(2.0 * (stop - start))) * max(
             noise_and_rounding, local_noise
         ):
-            return TrialFigure(100.0 * highest, per_level=(steady_rounding, top_rounding))
+            return LevelFigure(100.0 * highest, per_level=(steady_rounding, top_rounding))
     if stop - start >= FEWEST_BINS:  # no curve fits the bins: the last curve's residuals give a limit
-        return TrialFigure(100.0 * highest, (100.0 * math.sqrt(3.0) * residual_std,), (steady_rounding, top_rounding))
+        return LevelFigure(100.0 * highest, (100.0 * math.sqrt(3.0) * residual_std,), (steady_rounding, top_rounding))
     # too few bins for a curve: the highest bin, with a limit from the steps to its neighbours
     top = start + int(np.argmax(excess[start:stop]))
     step_to_neighbour = float(np.max(np.abs(np.diff(excess[top - 1 : top + 2]))))
-    return TrialFigure(
+    return LevelFigure(
         100.0 * float(excess[top]), (25.0 * step_to_neighbour, 100.0 * bin_error), (steady_rounding, steady_rounding)
     )
 
@@ -117,7 +117,7 @@ def _fitted_top(time: Array, excess: Array) -> tuple[float, float, Array, Array]
     return float(fine_curve[highest]), float(np.std(excess - fitted)), fine_design[highest] @ solution, fitted
 
 
-def settling_time(trials: Sequence[StepTrial]) -> TrialFigure:
+def settling_time(trials: Sequence[StepTrial]) -> LevelFigure:
     """Return the time from the jump until the response stays within `SETTLING_BAND` [s]; NaN if noise hides it."""
     curve = mean_step_response(trials, BIN_GROWTH)
     bin_error = float(np.max(curve.error))
@@ -125,12 +125,12 @@ def settling_time(trials: Sequence[StepTrial]) -> TrialFigure:
     smooth = curve._replace(value=_averaged(curve, BAND_NOISE * SETTLING_BAND))
     last_outside = int(max(np.flatnonzero(np.abs(smooth.value - 1.0) > SETTLING_BAND), default=len(smooth.time)))
     if last_outside + 1 >= len(smooth.time) or smooth.time[last_outside] >= smooth.steady_from:
-        return TrialFigure(NAN)
+        return LevelFigure(NAN)
     if (
         max(bin_error / math.sqrt(2.0 * half_widths[last_outside] + 1.0), rounding_limit_of(curve.noise, curve.quantum))
         > UNDECIDED_ABOVE * SETTLING_BAND
     ):
-        return TrialFigure(NAN)
+        return LevelFigure(NAN)
     side = math.copysign(1.0, smooth.value[last_outside] - 1.0)
     unaveraged = mean_step_response(trials)
     entry_time = _entry_time(unaveraged, smooth, last_outside, side)
@@ -141,7 +141,7 @@ def settling_time(trials: Sequence[StepTrial]) -> TrialFigure:
         limits.append(float(half_widths[last_outside]) * curve.interval)
     rounding = _rounding_at(unaveraged, int(np.searchsorted(unaveraged.time, entry_time)), 1.0 + side * SETTLING_BAND)
     # the readings at the entry and those in the steady part are rounded independently
-    return TrialFigure(entry_time, tuple(limits), (rounding, rounding))
+    return LevelFigure(entry_time, tuple(limits), (rounding, rounding))
 
 
 def _averaging_half_widths(curve: MeanStepResponse, standard_error: float) -> Array:

@@ -22,7 +22,7 @@ from leactl.analysis.responses.step_trials import (
     trials_of,
     wrong_size_notes,
 )
-from leactl.analysis.statistics.jackknife import LevelValue, TrialFigure, mean_of_levels, over_trials
+from leactl.analysis.statistics.jackknife import JackknifedFigure, LevelFigure, jackknife_over_trials, mean_of_levels
 from leactl.analysis.statistics.linefit import setup_notes
 from leactl.runfile.read.reader import Run
 
@@ -53,7 +53,7 @@ def step_response(experiment: str, runs: Sequence[Run], reference: str, response
     levels = [[trial for trial in usable_trials.value if trial.level == setpoint] for setpoint in setpoints]
     notes += [*usable_trials.notes, *repeat_notes(levels), *drift_notes(levels)]
     units = runs[0].channel(response, role="test").units
-    metrics: dict[str, tuple[str, Callable[[Sequence[StepTrial]], TrialFigure]]] = {
+    metrics: dict[str, tuple[str, Callable[[Sequence[StepTrial]], LevelFigure]]] = {
         "rise_time": ("s", rise_time),
         "overshoot": ("%", overshoot),
         "settling_time": ("s", settling_time),
@@ -78,17 +78,17 @@ def step_response(experiment: str, runs: Sequence[Run], reference: str, response
     return Result(experiment, paths, tuple(results), tuple(notes), (_plot(levels, units, plot_end),))
 
 
-def _level_value(trials: Sequence[StepTrial], metric: Callable[[Sequence[StepTrial]], TrialFigure]) -> LevelValue:
+def _level_value(trials: Sequence[StepTrial], metric: Callable[[Sequence[StepTrial]], LevelFigure]) -> JackknifedFigure:
     """Return a metric of one level with its scatter over the trials."""
-    return over_trials(len(trials), lambda trial_indices: metric([trials[index] for index in trial_indices]))
+    return jackknife_over_trials(len(trials), lambda trial_indices: metric([trials[index] for index in trial_indices]))
 
 
-def _steady_error(trials: Sequence[StepTrial]) -> LevelValue:
+def _steady_error(trials: Sequence[StepTrial]) -> JackknifedFigure:
     """Return the steady-state error of one level [%] with its scatter over the trials."""
     rounding = 100.0 * max(rounding_limit_of(trial.noise, trial.quantum) for trial in trials)
-    return over_trials(
+    return jackknife_over_trials(
         len(trials),
-        lambda trial_indices: TrialFigure(
+        lambda trial_indices: LevelFigure(
             100.0 * float(np.mean([trials[index].steady_error for index in trial_indices])), per_level=(rounding,)
         ),
     )

@@ -23,8 +23,8 @@ factor was chosen, not derived.
 """
 
 
-class TrialFigure(NamedTuple):
-    """A figure of one level, and the limits of its uniform errors that more trials do not make smaller.
+class LevelFigure(NamedTuple):
+    """A figure of one level, with the half widths of uniform errors that averaging over trials does not reduce.
 
     Element k of `shared` has to be the limit of the same error in every level: `mean_of_levels` averages it over the
     levels and does not reduce it. Each element of `per_level` is an error that is independent of all others.
@@ -36,43 +36,48 @@ class TrialFigure(NamedTuple):
 
 
 @dataclass(frozen=True)
-class LevelValue:
+class JackknifedFigure:
     """A figure of one level with its standard error."""
 
-    figure: TrialFigure
+    figure: LevelFigure
     standard_error: float  # of the figure, from the scatter of the trials; NaN with one trial
     dof: int  # degrees of freedom: trials less one
 
 
-def over_trials(trial_count: int, figure: Callable[[Sequence[int]], TrialFigure]) -> LevelValue:
+def jackknife_over_trials(trial_count: int, figure: Callable[[Sequence[int]], LevelFigure]) -> JackknifedFigure:
     """Return a figure of all trials of a level, with its standard error from leaving out one trial at a time.
 
-    `figure` takes the indices of the trials to use, and returns NaN if they give no value.
+    `figure` takes the indices of the trials to use, and returns NaN if they give no value. Limits in `per_level` are
+    reduced by the part that the scatter of the trials already contains (`SCATTER_ALLOWANCE`).
     """
-    of_all_trials = figure(range(trial_count))
-    if trial_count < 2 or not math.isfinite(of_all_trials.value):
-        return LevelValue(of_all_trials, NAN, trial_count - 1)
+    full_figure = figure(range(trial_count))
+    if trial_count < 2 or not math.isfinite(full_figure.value):
+        return JackknifedFigure(full_figure, NAN, trial_count - 1)
     leave_one_out = np.array(
         [figure([k for k in range(trial_count) if k != omitted]).value for omitted in range(trial_count)]
     )
     standard_error = math.sqrt(
         (trial_count - 1) / trial_count * float(np.sum((leave_one_out - leave_one_out.mean()) ** 2))
     )
-    rounding_square = sum(limit**2 for limit in of_all_trials.per_level)
+    rounding_square = sum(limit**2 for limit in full_figure.per_level)
     # a uniform error has a third of its squared limit as variance; one trial has `trial_count` times that of the figure
     covered_square = SCATTER_ALLOWANCE * 3.0 * trial_count * standard_error**2
     remaining = math.sqrt(max(1.0 - covered_square / rounding_square, 0.0)) if rounding_square else 0.0
-    return LevelValue(
-        of_all_trials._replace(per_level=tuple(remaining * limit for limit in of_all_trials.per_level)),
+    return JackknifedFigure(
+        full_figure._replace(per_level=tuple(remaining * limit for limit in full_figure.per_level)),
         standard_error,
         trial_count - 1,
     )
 
 
-def mean_of_levels(name: str, units: str, levels: Sequence[LevelValue]) -> Estimate:
+def mean_of_levels(name: str, units: str, levels: Sequence[JackknifedFigure]) -> Estimate:
     """Average the figure over the levels, with its 95 % interval (GUM, G.4: Welch and Satterthwaite).
 
     Standard uncertainty and interval are NaN if any level has one trial.
+
+    Parameters
+    ----------
+    levels : one or more.
     """
     count = len(levels)
     value = sum(level.figure.value for level in levels) / count
