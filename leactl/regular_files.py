@@ -1,4 +1,6 @@
-"""Open regular files only: to open a FIFO without a writer waits for ever, and a device such as /dev/zero never ends.
+"""Open and read regular files only: to open a FIFO waits for its writer, and a device such as /dev/zero never ends.
+
+Also: whether a file is being written, and reads and writes at an offset.
 
 Flags that only POSIX has are 0 on other systems, on which leactl reads files and emulates benches.
 """
@@ -13,10 +15,10 @@ from typing import BinaryIO, Final
 from leactl.errors import InputError
 
 # flags of `os.open`
-NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)
-AT_ONCE: Final = getattr(os, "O_NONBLOCK", 0)
-OF_THIS_PROCESS: Final = getattr(os, "O_CLOEXEC", 0) or getattr(os, "O_NOINHERIT", 0)  # no child inherits the file
-AS_BYTES: Final = getattr(os, "O_BINARY", 0)  # without it, Windows converts line ends
+NOFOLLOW: Final = getattr(os, "O_NOFOLLOW", 0)
+NONBLOCK: Final = getattr(os, "O_NONBLOCK", 0)
+CLOEXEC: Final = getattr(os, "O_CLOEXEC", 0) or getattr(os, "O_NOINHERIT", 0)  # no child inherits the file
+BINARY: Final = getattr(os, "O_BINARY", 0)  # without it, Windows converts line ends
 
 
 def open_regular(path: Path, most_bytes: int | None = None) -> BinaryIO:
@@ -30,7 +32,7 @@ def open_regular(path: Path, most_bytes: int | None = None) -> BinaryIO:
     ------
     OSError : the file cannot be opened, is not a regular file, or is too large; `strerror` has the reason.
     """
-    stream = os.fdopen(os.open(path, os.O_RDONLY | AT_ONCE | OF_THIS_PROCESS | AS_BYTES), "rb")
+    stream = os.fdopen(os.open(path, os.O_RDONLY | NONBLOCK | CLOEXEC | BINARY), "rb")
     status = os.fstat(stream.fileno())
     if stat.S_ISREG(status.st_mode) and (most_bytes is None or status.st_size <= most_bytes):
         return stream
@@ -56,12 +58,12 @@ def is_being_written(path: Path) -> bool:
         return False
     for process in processes:
         with suppress(OSError):  # the process has ended, or is another user's
-            if any(_writes(process, descriptor, status) for descriptor in (process / "fd").iterdir()):
+            if any(_descriptor_writes(process, descriptor, status) for descriptor in (process / "fd").iterdir()):
                 return True
     return False
 
 
-def _writes(process: Path, descriptor: Path, status: os.stat_result) -> bool:
+def _descriptor_writes(process: Path, descriptor: Path, status: os.stat_result) -> bool:
     """Return whether a descriptor of a process is open for writing to the file with this status."""
     try:
         if not os.path.samestat(descriptor.stat(), status):
@@ -74,7 +76,7 @@ def _writes(process: Path, descriptor: Path, status: os.stat_result) -> bool:
 
 
 def file_bytes(path: Path, most_bytes: int | None = None, count: int = -1) -> bytes:
-    """Read a regular file that a person named.
+    """Read a regular file; faults are messages for the person who named it.
 
     Parameters
     ----------

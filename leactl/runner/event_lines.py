@@ -18,7 +18,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from leactl.errors import InputError
-from leactl.regular_files import AS_BYTES, AT_ONCE, OF_THIS_PROCESS
+from leactl.regular_files import BINARY, CLOEXEC, NONBLOCK
 from leactl.runner.progress import Progress
 
 STDOUT = Path("-")
@@ -51,7 +51,7 @@ class EventLines:
         ------
         InputError : the output cannot be opened, or is a pipe that nobody reads.
         """
-        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | AT_ONCE | OF_THIS_PROCESS | AS_BYTES
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | NONBLOCK | CLOEXEC | BINARY
         try:
             self._file = os.dup(1) if self._path == STDOUT else os.open(self._path, flags, 0o644)
         except OSError as error:

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 from leactl.driver.contract import Confirmation
 from leactl.errors import DeviceError, InputError
-from leactl.regular_files import AS_BYTES, AT_ONCE, NO_LINK, read_at, write_at
+from leactl.regular_files import BINARY, NOFOLLOW, NONBLOCK, read_at, write_at
 from leactl.runner import lock_holders, state_folder
 from leactl.runner.state_folder import StateFolder
 from leactl.yamlfile import printable
@@ -388,7 +388,7 @@ def _open_file(path: Path) -> int | None:
     ------
     OSError : it is a link or no regular file, which no run makes, or this user may not read it.
     """
-    flags = NO_LINK | AT_ONCE | AS_BYTES
+    flags = NOFOLLOW | NONBLOCK | BINARY
     try:
         try:
             descriptor = os.open(path, os.O_RDWR | flags)

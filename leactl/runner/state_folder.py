@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from leactl.errors import InputError
-from leactl.regular_files import AS_BYTES, AT_ONCE, NO_LINK
+from leactl.regular_files import BINARY, NOFOLLOW, NONBLOCK
 
 if TYPE_CHECKING:  # an emergency stop imports this: nothing heavy comes with it
     from leactl.bench.benchfile import BenchFile
@@ -133,7 +133,7 @@ def read(path: Path) -> bytes:
     FileNotFoundError : nothing is at the path.
     OSError : the file is not regular, a link, or larger than `MOST_BYTES`.
     """
-    descriptor = os.open(path, os.O_RDONLY | NO_LINK | AT_ONCE | AS_BYTES)
+    descriptor = os.open(path, os.O_RDONLY | NOFOLLOW | NONBLOCK | BINARY)
     try:
         _expect_regular(descriptor, path)
         content = os.read(descriptor, MOST_BYTES + 1)
@@ -152,7 +152,7 @@ def open_file(path: Path, shared: bool) -> int:
     OSError : the file cannot be made, or is a link or not regular.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    flags = os.O_RDWR | NO_LINK | AT_ONCE | AS_BYTES
+    flags = os.O_RDWR | NOFOLLOW | NONBLOCK | BINARY
     try:
         descriptor = os.open(path, flags | os.O_CREAT | os.O_EXCL, OWNER_FILE_MODE)
     except FileExistsError:
