@@ -22,10 +22,10 @@ class AsymmetricFriction(Effect):
         return {"drag": {"asymmetry": signals.model.coulomb_friction * np.abs(signals.sliding)}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Return half the difference of both directions over their mean."""
+        """Return the asymmetry: half the difference of forward and backward friction, over their mean."""
         return {"asymmetry": coefficients["asymmetry"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:
-        """Add a factor on friction by direction."""
+        """Multiply Coulomb friction by 1 + asymmetry forward and 1 - asymmetry backward."""
         asymmetry = parameters["asymmetry"]
         plant.coulomb_share.append(lambda now: 1.0 + asymmetry * np.sign(now.velocity))

@@ -1,4 +1,4 @@
-"""Bus sag: bus voltage falls by r times the bus current v i / U."""
+"""Bus sag: the bus voltage U falls by r v i / U, with the source's resistance r [ohm] and the power v i [W]."""
 
 from collections.abc import Mapping
 
@@ -20,7 +20,7 @@ class BusSag(Effect):
         return {"bus_voltage": {"resistance": -signals.voltage * signals.current / signals.bus_voltage}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
-        """Return the resistance of the source."""
+        """Return the resistance of the source [ohm]."""
         return {"resistance": coefficients["resistance"]}
 
     def act(self, parameters: Mapping[str, float], plant: Plant) -> None:

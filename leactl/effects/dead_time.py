@@ -1,4 +1,4 @@
-"""Dead time: a voltage U tanh(i / i0) lost in the inverter."""
+"""Dead time: a voltage U tanh(i / i0) lost in the inverter at a current i; it saturates at the current i0 [A]."""
 
 from collections.abc import Mapping
 
@@ -14,11 +14,12 @@ class DeadTime(Effect):
 
     name = "dead_time"
     one_sided = True
+    # saturating current, as shares of the highest current
     forms = ((0.003,), (0.008,), (0.02,), (0.05,))
     form_scales = ("highest current",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Return a voltage that saturates with current."""
+        """Return the share of the lost voltage at each current, between -1 and 1."""
         if signals.current is None:
             return {}
         return {"voltage": {"voltage": np.tanh(signals.current / form[0])}}

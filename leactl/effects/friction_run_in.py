@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from leactl.effects.contract import Effect, Form, Signals, Terms
-from leactl.effects.friction import friction_torque
+from leactl.effects.model_friction import friction_torque
 from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 

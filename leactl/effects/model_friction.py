@@ -9,7 +9,9 @@ Array = npt.NDArray[np.float64]
 
 
 def friction_torque(model: Model, velocity: Array, velocity_sign: Array) -> Array:
-    """Return viscous and Coulomb friction torque [N*m], shape (samples,); a coefficient that the model lacks is 0.
+    """Return viscous and Coulomb friction torque [N*m], shape (samples,).
+
+    Coefficients that the model file lacks count as 0.
 
     Parameters
     ----------
