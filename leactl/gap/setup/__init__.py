@@ -14,7 +14,7 @@ from leactl.gap.setup.faulty_samples import (
     find_repeated_samples,
     find_wrapped_angle,
 )
-from leactl.gap.setup.mended_error import mended_picture
+from leactl.gap.setup.mended_picture import mended_picture
 from leactl.gap.setup.signs_and_scales import find_scale_fault
 from leactl.gap.setup.swapped_channels import find_swap
 from leactl.gap.signals.record import Record

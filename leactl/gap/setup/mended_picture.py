@@ -25,17 +25,17 @@ Array = npt.NDArray[np.float64]
 FAULTS_DRAWN_OVER_TIME = frozenset(
     {"clock_drift", "dropped_samples", "frozen_channel", "repeated_samples", "clipped_channel"}
 )
-FEWEST_EDGES = 3  # of two bins; a picture of one bin shows no shape
+FEWEST_EDGES = 3  # bin edges, for two bins: a picture of one bin shows no shape
 
 
 @dataclass(frozen=True, eq=False)
-class ChannelError:
-    """Error of a channel of one run against its expected value, as logged and as mended.
+class ChannelDeviation:
+    """Deviation of a channel of one run from its expected value, as logged and as mended.
 
     Arrays have shape (samples,).
     """
 
-    pair: ExpectedChannel  # of the mended run
+    expected_channel: ExpectedChannel  # of the mended run
     logged: Array
     mended: Array
     samples: npt.NDArray[np.intp]  # indices in the run at which both errors are known
@@ -54,13 +54,17 @@ def mended_picture(
     fault_name : faults of `FAULTS_DRAWN_OVER_TIME` are drawn over time, all others over the channel's variable.
     logged_records, mended_records : the same runs as logged and as mended.
     """
-    groups: dict[tuple[str, str, str, str], list[ChannelError]] = {}  # by quantity, role, reference and set-up
+    groups: dict[tuple[str, str, str, str], list[ChannelDeviation]] = {}  # by quantity, role, reference and set-up
     for logged, mended in zip(logged_records, mended_records, strict=True):
-        logged_channels = {(pair.key, pair.reference_label): pair for pair in every_pair(logged, model)}
-        for pair in every_pair(mended, model):
-            error = channel_error(logged, mended, logged_channels.get((pair.key, pair.reference_label)), pair)
-            if error is not None:
-                groups.setdefault((*pair.key, pair.reference_label, mended.mechanical), []).append(error)
+        logged_channels = {
+            (channel.key, channel.reference_label): channel for channel in expected_channels(logged, model)
+        }
+        for channel in expected_channels(mended, model):
+            deviation = channel_deviation(
+                logged, mended, logged_channels.get((channel.key, channel.reference_label)), channel
+            )
+            if deviation is not None:
+                groups.setdefault((*channel.key, channel.reference_label, mended.mechanical), []).append(deviation)
     shares = {key: removed_share(group) for key, group in groups.items()}
     if not shares:
         return None
@@ -70,62 +74,74 @@ def mended_picture(
     return None if picture is None else (picture, shares[drawn_key])
 
 
-def every_pair(record: Record, model: Model) -> Iterator[ExpectedChannel]:
+def expected_channels(record: Record, model: Model) -> Iterator[ExpectedChannel]:
     """Yield every channel of a run that has an expected value."""
     yield from direct_pairs(record, model)
     yield from modelled_pairs(record, model)
 
 
-def channel_error(
+def channel_deviation(
     logged: Record, mended: Record, logged_channel: ExpectedChannel | None, mended_channel: ExpectedChannel
-) -> ChannelError | None:
-    """Return the error of a channel as logged and as mended; None if either is not known at any sample."""
+) -> ChannelDeviation | None:
+    """Return the deviation of a channel as logged and as mended; None if either is not known at any sample."""
     if logged_channel is None or logged.fast is None or mended.fast is None:
         return None
     valid = logged.fast.all_valid(*logged_channel.inputs) & mended.fast.all_valid(*mended_channel.inputs)
     logged_error, mended_error = (
-        smooth(pair.measured) - smooth(pair.expected) for pair in (logged_channel, mended_channel)
+        smooth(expected_channel.measured) - smooth(expected_channel.expected)
+        for expected_channel in (logged_channel, mended_channel)
     )
     samples = np.flatnonzero(valid)
     if not len(samples):
         return None
-    return ChannelError(mended_channel, logged_error[samples], mended_error[samples], samples, mended.fast.interval)
+    return ChannelDeviation(mended_channel, logged_error[samples], mended_error[samples], samples, mended.fast.interval)
 
 
-def removed_share(group: Sequence[ChannelError]) -> float:
+def removed_share(group: Sequence[ChannelDeviation]) -> float:
     """Return the share of a channel's squared error in all runs that mending removes; 0 if the logged error is zero."""
-    logged_square = sum(float(np.sum(error.logged**2)) for error in group)
-    mended_square = sum(float(np.sum(error.mended**2)) for error in group)
+    logged_square = sum(float(np.sum(deviation.logged**2)) for deviation in group)
+    mended_square = sum(float(np.sum(deviation.mended**2)) for deviation in group)
     return 1.0 - mended_square / logged_square if logged_square > 0.0 else 0.0
 
 
-def values_drawn_over(error: ChannelError, over_time: bool) -> Array:
+def values_drawn_over(deviation: ChannelDeviation, over_time: bool) -> Array:
     """Return the values over which an error is drawn, shape (samples,).
 
     They are the time since the run's first sample [s], or the values of the channel's variable.
     """
     if over_time:
-        return np.asarray(error.interval * error.samples, np.float64)
-    pair = error.pair
-    return smooth(pair.expected if pair.drawn_over is None else pair.drawn_over)[error.samples]
+        return np.asarray(deviation.interval * deviation.samples, np.float64)
+    expected_channel = deviation.expected_channel
+    return smooth(expected_channel.expected if expected_channel.drawn_over is None else expected_channel.drawn_over)[
+        deviation.samples
+    ]
 
 
-def residual_picture(group: Sequence[ChannelError], channel: tuple[str, str, str], over_time: bool) -> Picture | None:
-    """Return the picture of a channel's error in bins of its `variable`, or of time; None with too few bins.
+def residual_picture(
+    group: Sequence[ChannelDeviation], channel: tuple[str, str, str], over_time: bool
+) -> Picture | None:
+    """Return the picture of a channel's error in bins of its variable, or of time if `over_time`.
+
+    The result is None with too few bins.
 
     `channel` is quantity, role and mechanical set-up. Over time, an error is multiplied by the sign of the slope of
     the expected value, so that a channel that is late has the same sign in both directions.
     """
     signs = [
-        np.sign(slope(smooth(error.pair.expected), 1.0))[error.samples] if over_time else np.ones(len(error.samples))
-        for error in group
+        np.sign(slope(smooth(deviation.expected_channel.expected), 1.0))[deviation.samples]
+        if over_time
+        else np.ones(len(deviation.samples))
+        for deviation in group
     ]
-    logged_error = np.concatenate([error.logged * sign for error, sign in zip(group, signs, strict=True)])
-    mended_error = np.concatenate([error.mended * sign for error, sign in zip(group, signs, strict=True)])
-    values = np.concatenate([values_drawn_over(error, over_time) for error in group])
+    logged_error = np.concatenate([deviation.logged * sign for deviation, sign in zip(group, signs, strict=True)])
+    mended_error = np.concatenate([deviation.mended * sign for deviation, sign in zip(group, signs, strict=True)])
+    values = np.concatenate([values_drawn_over(deviation, over_time) for deviation in group])
     # numbered through all runs: samples of one stretch count as one independent group
     stretches = np.concatenate(
-        [run * STRETCHES + error.samples * STRETCHES // (int(error.samples[-1]) + 1) for run, error in enumerate(group)]
+        [
+            run * STRETCHES + deviation.samples * STRETCHES // (int(deviation.samples[-1]) + 1)
+            for run, deviation in enumerate(group)
+        ]
     )
     edges = bin_edges(values, logged_error - mended_error, bin_count(float(len(np.unique(stretches)))))
     if len(edges) < FEWEST_EDGES:
@@ -133,21 +149,14 @@ def residual_picture(group: Sequence[ChannelError], channel: tuple[str, str, str
     bin_of_row, bins = bin_of(values, edges), len(edges) - 1
     logged_means, mended_means = (means(error, bin_of_row, stretches, bins) for error in (logged_error, mended_error))
     counts = np.bincount(bin_of_row[bin_of_row >= 0], minlength=bins)
-    pair = group[0].pair
-    variable: Variable = "time" if over_time else pair.variable
-    columns = zip(
-        edges[:-1].tolist(),
-        edges[1:].tolist(),
-        counts.tolist(),
-        *(row.tolist() for binned in (logged_means, mended_means) for row in (binned.mean, binned.low, binned.high)),
-        strict=True,
-    )
+    expected_channel = group[0].expected_channel
+    variable: Variable = "time" if over_time else expected_channel.variable
     quantity, role, mechanical = channel
     return Picture(
         variable=variable,
         variable_units=VARIABLES[variable].units,
         periods=None,
-        along=f"rate of change of the value expected from {pair.reference_label}" if over_time else None,
+        along=f"rate of change of the value expected from {expected_channel.reference_label}" if over_time else None,
         quantity=quantity,
         role=role,
         mechanical=mechanical,
@@ -157,5 +166,18 @@ def residual_picture(group: Sequence[ChannelError], channel: tuple[str, str, str
         after_rms=mended_means.rms(counts),
         off_zero_before=logged_means.off_zero,
         off_zero_after=mended_means.off_zero,
-        bins=tuple(ResidualBin(*row) for row in columns),
+        bins=tuple(
+            ResidualBin(
+                low=float(edges[index]),
+                high=float(edges[index + 1]),
+                count=int(counts[index]),
+                before=float(logged_means.mean[index]),
+                before_low=float(logged_means.low[index]),
+                before_high=float(logged_means.high[index]),
+                after=float(mended_means.mean[index]),
+                after_low=float(mended_means.low[index]),
+                after_high=float(mended_means.high[index]),
+            )
+            for index in range(bins)
+        ),
     )

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from leactl.gap.setup.mended_error import mended_picture
+from leactl.gap.setup.mended_picture import mended_picture
 from tests.gap.spoilt_setups import with_values
 from tests.gap.synthetic import clocked, model, record
 
