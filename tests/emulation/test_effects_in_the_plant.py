@@ -11,8 +11,8 @@ from leactl.emulation.plant.parameters import ActuatorParameters, BenchParameter
 from leactl.emulation.plant.stepped.heating import heat
 from leactl.emulation.plant.stepped.lanes import Lane
 from leactl.emulation.plant.stepped.plant import TICK, SteppedPlant
-from leactl.emulation.plant.stepped.run import DriveSignals
 from leactl.emulation.plant.stepped.sensors import Sensors, Spread
+from leactl.emulation.plant.stepped.simulation import DriveSignals
 from leactl.vocabulary.effect import effect_definition, effects_on
 
 LEA = ActuatorParameters()

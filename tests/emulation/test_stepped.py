@@ -13,7 +13,7 @@ from leactl.emulation.plant.stepped.heating import heat
 from leactl.emulation.plant.stepped.lanes import Lane
 from leactl.emulation.plant.stepped.plant import TICK, SteppedPlant
 from leactl.emulation.plant.stepped.rig import SteppedRig
-from leactl.emulation.plant.stepped.run import DriveReferences, simulate
+from leactl.emulation.plant.stepped.simulation import DriveReferences, simulate
 from leactl.errors import InputError
 
 LEA = ActuatorParameters()

@@ -17,8 +17,8 @@ from leactl.emulation.plant.effects.contract import PlantEffect
 from leactl.emulation.plant.effects_outside_library import unlisted_effects
 from leactl.emulation.plant.effects_outside_library.drawn import Unlisted
 from leactl.emulation.plant.stepped.lanes import Array, Lane
-from leactl.emulation.plant.stepped.run import DriveReferences
 from leactl.emulation.plant.stepped.sensors import Spread
+from leactl.emulation.plant.stepped.simulation import DriveReferences
 from leactl.vocabulary.effect import effect_definition, effects_on
 
 Generator = np.random.Generator

@@ -11,8 +11,8 @@ from leactl.emulation.blind.bases import nominal_text
 from leactl.emulation.blind.draws import BlindCase, RunDraw
 from leactl.emulation.plant.stepped.heating import HeatedRun
 from leactl.emulation.plant.stepped.lanes import Array
-from leactl.emulation.plant.stepped.run import DriveReferences, DriveSignals
 from leactl.emulation.plant.stepped.sensors import Sensors
+from leactl.emulation.plant.stepped.simulation import DriveReferences, DriveSignals
 from leactl.quantities import ChannelSpec
 from leactl.runfile.write.writer import RunInfo, RunWriter
 

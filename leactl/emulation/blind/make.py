@@ -14,7 +14,7 @@ from leactl.emulation.blind.files import entry, write_heated, write_model, write
 from leactl.emulation.blind.key import write_key
 from leactl.emulation.plant.effects_outside_library import unlisted_effects
 from leactl.emulation.plant.stepped.heating import heat
-from leactl.emulation.plant.stepped.run import DriveReferences, simulate
+from leactl.emulation.plant.stepped.simulation import DriveReferences, simulate
 from leactl.errors import InputError
 from leactl.vocabulary.effect import effects_on
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from leactl.emulation.plant.stepped.lanes import Array
 from leactl.emulation.plant.stepped.plant import TICK
-from leactl.emulation.plant.stepped.run import DriveReferences
+from leactl.emulation.plant.stepped.simulation import DriveReferences
 
 MOVING_KINDS = ("locked_staircase", "coupled_grid", "free_multisine", "free_velocity")
 RUN_KINDS = (*MOVING_KINDS, "heating")

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from leactl.emulation.plant.stepped.heating import HeatedRun
 from leactl.emulation.plant.stepped.lanes import Array, Lane
-from leactl.emulation.plant.stepped.run import CAMERA_TICKS, DriveSignals
+from leactl.emulation.plant.stepped.simulation import CAMERA_TICKS, DriveSignals
 
 ENCODER_COUNTS = 40000  # per turn
 RESOLUTION = {  # A, V, rad/s, N*m and K

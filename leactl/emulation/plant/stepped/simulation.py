@@ -32,7 +32,10 @@ class DriveReferences:
 
 @dataclass(frozen=True)
 class DriveSignals:
-    """Sensor readings of one run, one a millisecond; only velocities have noise already, since the servos read them."""
+    """Sensor readings of one run, one a millisecond, those of the camera one in `CAMERA_TICKS`.
+
+    Only velocities have noise already, since the servos read them.
+    """
 
     reference: Single  # A
     current: Single  # A, mean over the millisecond as the drive's sensor reads it
@@ -61,33 +64,33 @@ class _Block(NamedTuple):
     load_velocity: Array
 
 
-def simulate(lanes: Sequence[Lane], programs: Sequence[DriveReferences]) -> list[DriveSignals]:
+def simulate(lanes: Sequence[Lane], references: Sequence[DriveReferences]) -> list[DriveSignals]:
     """Run every lane to the end of its references; results are in the order of `lanes`."""
-    grouped_lanes = in_groups(lanes)
-    signals = _simulate([lanes[k] for k in grouped_lanes], [programs[k] for k in grouped_lanes])
-    signals_by_lane = dict(zip(grouped_lanes, signals, strict=True))
+    order = in_groups(lanes)  # indices, lanes with the same kinds of effects adjacent
+    signals = _simulate([lanes[k] for k in order], [references[k] for k in order])
+    signals_by_lane = dict(zip(order, signals, strict=True))
     return [signals_by_lane[k] for k in range(len(lanes))]
 
 
-def _simulate(lanes: Sequence[Lane], programs: Sequence[DriveReferences]) -> list[DriveSignals]:
+def _simulate(lanes: Sequence[Lane], references: Sequence[DriveReferences]) -> list[DriveSignals]:
     """Run lanes of which those with the same kinds of effects are adjacent, block by block."""
     plant = SteppedPlant(lanes)
-    servo = _Servo(lanes, programs)
-    lengths = [len(program.current) for program in programs]
+    servo = _Servo(lanes, references)
+    lengths = [len(run_references.current) for run_references in references]
     records = [_empty_record(length) for length in lengths]
     most_ticks, lane_count = max(lengths), len(lanes)
     block = _Block(*(np.zeros((BLOCK, lane_count)) for _ in _Block._fields))
     camera = np.zeros((-(-most_ticks // CAMERA_TICKS), 2, lane_count), np.float32)
-    noise_generators = [np.random.default_rng([program.seed, 1]) for program in programs]
-    velocity_noise = np.array([program.velocity_noise for program in programs])
+    noise_generators = [np.random.default_rng([run_references.seed, 1]) for run_references in references]
+    velocity_noise = np.array([run_references.velocity_noise for run_references in references])
     reading = np.zeros((2, lane_count))
     for first_tick in range(0, most_ticks, BLOCK):
         noise_block = (
             np.stack([generator.standard_normal((BLOCK, 2)) for generator in noise_generators], axis=2) * velocity_noise
         )
-        references = _reference_block(programs, first_tick)
+        reference_block = _reference_block(references, first_tick)
         for row in range(min(BLOCK, most_ticks - first_tick)):
-            current_references = servo.current(references[0, row], references[1, row], reading)
+            current_references = servo.current(reference_block[0, row], reference_block[1, row], reading)
             plant.advance(current_references)
             np.add(plant.velocity_read, noise_block[row], out=reading)
             _fill_row(block, row, plant, current_references, reading)
@@ -103,8 +106,10 @@ def _simulate(lanes: Sequence[Lane], programs: Sequence[DriveReferences]) -> lis
 class _Servo:
     """Velocity servos of the lanes that have one; the current references of the other lanes pass unchanged."""
 
-    def __init__(self, lanes: Sequence[Lane], programs: Sequence[DriveReferences]) -> None:
-        self._holds_velocity = np.array([[program.servo == role for program in programs] for role in ("test", "load")])
+    def __init__(self, lanes: Sequence[Lane], references: Sequence[DriveReferences]) -> None:
+        self._holds_velocity = np.array(
+            [[run_references.servo == role for run_references in references] for role in ("test", "load")]
+        )
         self._test_has_no_servo = ~self._holds_velocity[0]
         current_per_acceleration = np.array(
             [
@@ -112,19 +117,24 @@ class _Servo:
                 [lane.load.rotor_inertia / lane.load.torque_constant for lane in lanes],
             ]
         )
-        gain = np.array([program.velocity_gain for program in programs])
-        integral = np.array([program.velocity_integral for program in programs])
+        gain = np.array([run_references.velocity_gain for run_references in references])
+        integral = np.array([run_references.velocity_integral for run_references in references])
         self._gain = current_per_acceleration * gain * self._holds_velocity
         self._integral_gain = current_per_acceleration * integral * TICK * self._holds_velocity
         self._unwinding_share = np.clip(integral / gain * TICK, 0.0, 1.0)
-        self._opposed_share = self._holds_velocity[1] * np.array([program.feedforward for program in programs])
+        self._opposed_share = self._holds_velocity[1] * np.array(
+            [run_references.feedforward for run_references in references]
+        )
         self._peak = np.array([lane.bench.peak_current for lane in lanes])
         self._integral = np.zeros(self._holds_velocity.shape)
 
     def current(self, current: Array, velocity: Array, reading: Array) -> Array:
         """Advance by a tick; return both drives' current references [A], limited and rounded as commands.
 
-        current : reference of the test drive if it has no servo [A]. velocity : reference of the servo [rad/s].
+        Parameters
+        ----------
+        current : reference of the test drive if it has no servo [A].
+        velocity : reference of the servo [rad/s].
         reading : velocities of both drives [rad/s].
         """
         velocity_error = velocity - reading
@@ -138,15 +148,15 @@ class _Servo:
         return command
 
 
-def _reference_block(programs: Sequence[DriveReferences], first_tick: int) -> Array:
+def _reference_block(references: Sequence[DriveReferences], first_tick: int) -> Array:
     """Return the current and velocity references of one block, shape (2, ticks, lanes); zero after a run's end."""
-    references = np.zeros((2, BLOCK, len(programs)))
-    for k, program in enumerate(programs):
-        currents = program.current[first_tick : first_tick + BLOCK]
-        references[0, : len(currents), k] = currents
-        if program.velocity is not None:
-            references[1, : len(currents), k] = program.velocity[first_tick : first_tick + BLOCK]
-    return references
+    block = np.zeros((2, BLOCK, len(references)))
+    for k, run_references in enumerate(references):
+        currents = run_references.current[first_tick : first_tick + BLOCK]
+        block[0, : len(currents), k] = currents
+        if run_references.velocity is not None:
+            block[1, : len(currents), k] = run_references.velocity[first_tick : first_tick + BLOCK]
+    return block
 
 
 def _fill_row(block: _Block, row: int, plant: SteppedPlant, reference: Array, reading: Array) -> None:
