@@ -40,12 +40,12 @@ class CsvForm(TableFormat):
 
 
 class Columns:
-    """The requested columns of one table: columns of numbers, and columns of labels.
+    """Read the requested columns of one table when constructed: numbers as arrays, labels as text.
 
     Parameters
     ----------
     form : format of the table.
-    wanted : names, or indices from 0, of columns of numbers; None reads every column as text. Names that the header
+    requested : names, or indices from 0, of columns of numbers; None reads every column as text. Names that the header
         lacks are left out.
     labels : names, or indices from 0, of columns that are read as text.
     options : prefix of the names of settings in messages, such as `csv.`; empty if the user cannot set them.
@@ -61,14 +61,14 @@ class Columns:
         `most_faults` lines.
     """
 
-    words: ClassVar[Mapping[str, float]] = {}  # the number that a word in lower case, such as true, stands for
+    number_of_word: ClassVar[Mapping[str, float]] = {}  # such as "true": 1.0; keys in lower case
     has_text: ClassVar[bool] = False  # whether a column whose first cell is not a number is read as text
 
     def __init__(
         self,
         path: Path,
         form: CsvForm,
-        wanted: Sequence[str | int] | None,
+        requested: Sequence[str | int] | None,
         labels: Sequence[str | int] = (),
         *,
         options: str = "",
@@ -78,11 +78,16 @@ class Columns:
         most_rows: int | None = None,
         most_faults: int = MOST_FAULTS,
     ) -> None:
-        self.path, self.names, self.lines = path, list[str](), array("q")
+        self.path = path
+        self.names: list[str] = []
+        self.lines = array("q")
         self._columns: dict[int, list[str] | array[float]] = {}  # by index
         self._labels: dict[int, list[str]] = {}  # by index
-        self._faults, self._most_faults, self._missing = list[str](), most_faults, frozenset(form.missing)
-        self._decimal, self._format = form.decimal, NumberFormat(form.decimal, form.thousands)
+        self._faults: list[str] = []
+        self._most_faults = most_faults
+        self._missing = frozenset(form.missing)
+        self._decimal = form.decimal
+        self._format = NumberFormat(form.decimal, form.thousands)
         self._advice = f"; if it marks a missed sample, add it to {options}missing" if options else ""
         first_line, comment, width = form.data_line or form.header_line + 1, form.comment, 0
         with open_text(path, form.encoding, most_bytes, f"; {options}encoding decides" if options else "") as file:
@@ -96,7 +101,7 @@ class Columns:
                 if comment and cells[0].startswith(comment) and cells[0].strip() not in self._missing:
                     continue
                 if not width:
-                    width = self._choose_columns(wanted, labels, line, cells)
+                    width = self._choose_columns(requested, labels, line, cells)
                 if len(cells) != width and (fault := width_fault(path, line, cells, width)):
                     self._faults.append(fault)
                 else:
@@ -107,27 +112,31 @@ class Columns:
             raise InputError(self._faults[:most_faults])  # one row may have several faults
 
     def _choose_columns(
-        self, wanted: Sequence[str | int] | None, labels: Sequence[str | int], line: int, cells: list[str]
+        self, requested: Sequence[str | int] | None, labels: Sequence[str | int], line: int, cells: list[str]
     ) -> int:
         """Choose the columns to read, and return the number of cells of a row.
 
         Where a column is requested by name, a row has as many cells as the header, else as many as the first row.
         """
         width, name_count = len(cells), len(strip_cells(self.names))
-        if name_count and any(isinstance(name, str) for name in (*(wanted or ()), *labels)):
+        if name_count and any(isinstance(name, str) for name in (*(requested or ()), *labels)):
             expected = min(max(width, name_count), len(self.names))
             if fault := width_fault(self.path, line, cells, expected):
                 raise InputError(fault)
             width = min(width, expected)
-        if wanted is None:
+        if requested is None:
             self._columns = {index: [] for index in range(width)}
         else:
-            self._columns = {index: array("d") for name in wanted if (index := self.position(name)) in range(width)}
+            self._columns = {index: array("d") for name in requested if (index := self.position(name)) in range(width)}
         self._labels = {index: [] for name in labels if (index := self.position(name)) in range(width)}
         return width
 
     def _append_row(self, line: int, cells: list[str]) -> None:
-        """Append the cells of a row to the columns; a cell that is no number becomes NaN and a fault."""
+        """Append the cells of a row to the columns.
+
+        A cell that is no number becomes NaN and a fault, or makes a column of text of a column that it begins
+        (`has_text`).
+        """
         self.lines.append(line)
         for index, column in self._columns.items():
             cell = cells[index].strip()
@@ -139,7 +148,7 @@ class Columns:
             except ValueError:
                 if column or not self.has_text:
                     column.append(np.nan)
-                    location = self.place(self.names[index] if index < len(self.names) else index, -1)
+                    location = self.location(self.names[index] if index < len(self.names) else index, -1)
                     self._faults.append(f"{location}: {cell!r} is not a number{self._advice}")
                 else:
                     self._columns[index] = [cell]  # a column of text: run metadata, or calendar stamps
@@ -155,13 +164,13 @@ class Columns:
         """
         value = None
         # float() accepts underscores, and a point where the decimal mark is a comma
-        only_python_reads_it = "_" in cell or (self._decimal == "," and "." in cell)
+        is_python_only = "_" in cell or (self._decimal == "," and "." in cell)
         with suppress(ValueError):
             if self._format.thousands:
                 value = self._format.value(cell.translate(PLAIN_CHARACTERS))
-            elif not only_python_reads_it:
+            elif not is_python_only:
                 return float(cell if self._decimal == "." else cell.replace(self._decimal, "."))
-        value = self.words.get(cell.lower()) if value is None else value
+        value = self.number_of_word.get(cell.lower()) if value is None else value
         if value is None:
             raise ValueError(cell)
         return value
@@ -170,12 +179,17 @@ class Columns:
         """Return the index of the first column of a name, -1 if there is none; an index is returned as it is."""
         return name if isinstance(name, int) else self.names.index(name) if name in self.names else -1
 
-    def place(self, name: str | int, row: int) -> str:
+    def location(self, name: str | int, row: int) -> str:
         """Return file, line and column of a cell, for messages."""
         return cell_location(self.path, self.lines[row], name)
 
     def column(self, name: str | int) -> Array | list[str]:
-        """Return a requested column: text as a list, numbers as an array."""
+        """Return a requested column: text as a list, numbers as an array.
+
+        Raises
+        ------
+        KeyError : the column was not requested, or the table has no rows.
+        """
         values = self._columns[self.position(name)]
         return values if isinstance(values, list) else np.frombuffer(values, np.float64)
 
@@ -189,10 +203,10 @@ class Columns:
         table: Array = np.stack([np.asarray(self.column(name), np.float64) for name in names], axis=1)
         expected = f"a number of at most {largest:g} in magnitude was expected"
         faults = [
-            f"{self.place(names[column], row)}: {table[row, column]:g}: {expected}"
+            f"{self.location(names[column], row)}: {table[row, column]:g}: {expected}"
             for row, column in np.argwhere(~(np.abs(table) <= largest))[: self._most_faults].tolist()
         ] or [
-            f"{self.place(names[0], row)}: {table[row, 0]:g} is not after {table[row - 1, 0]:g}"
+            f"{self.location(names[0], row)}: {table[row, 0]:g} is not after {table[row - 1, 0]:g}"
             for row in (np.flatnonzero(np.diff(table[:, 0]) <= 0.0)[: self._most_faults] + 1).tolist()
         ]
         if faults:

@@ -60,7 +60,7 @@ class Table:
     remarks: list[str] = field(default_factory=list)
     repeated_headers: int = 0
 
-    def place(self, heading: str, row: int) -> str:
+    def location(self, heading: str, row: int) -> str:
         """Return file, line and column of a cell, for messages."""
         return cell_location(self.path, self.lines[row], heading)
 

@@ -11,7 +11,7 @@ from leactl.runfile.importing.streams import Stream
 
 
 def preview(run: ImportedRun, target: Path) -> dict[str, Any]:
-    """Return one run as a JSON object."""
+    """Return what an import of one run would write, as JSON takes it."""
     return {
         "file": str(target),
         "created": run.info.created,
@@ -30,7 +30,7 @@ def preview(run: ImportedRun, target: Path) -> dict[str, Any]:
 
 
 def stream_preview(stream: Stream) -> dict[str, Any]:
-    """Return one stream as a JSON object."""
+    """Return what an import of one stream would write, as JSON takes it."""
     channels = []
     for spec, values in zip(stream.specs, stream.values, strict=True):
         finite_values = values[np.isfinite(values)]
@@ -47,24 +47,25 @@ def stream_preview(stream: Stream) -> dict[str, Any]:
     }
 
 
-def preview_lines(run: dict[str, Any]) -> Iterator[str]:
-    """Yield one run as lines for people, from its JSON object."""
-    yield f"{run['file']}: {run['mechanical']}, created {run['created']}; not written"
+def preview_lines(description: dict[str, Any]) -> Iterator[str]:
+    """Yield the lines that show a run, from the object of `preview`."""
+    yield f"{description['file']}: {description['mechanical']}, created {description['created']}; not written"
     for name in ("protocol", "actuator"):
-        if run[name]:
-            yield f"  {name} {run[name]}"
-    for name, value in (run["setup"] | run["parameters"]).items():
+        if description[name]:
+            yield f"  {name} {description[name]}"
+    for name, value in (description["setup"] | description["parameters"]).items():
         yield f"  {name} = {value}"
-    for name, stream in run["streams"].items():
+    for name, stream in description["streams"].items():
+        aligned_text = f"; {stream['aligned']}" if stream["aligned"] else ""
         span = f"{stream['start_s']:.6g} .. {stream['stop_s']:.6g} s, every {stream['interval_s']:.4g} s"
-        yield f"  stream {name}: {stream['rows']} rows, {span}{'; ' * bool(stream['aligned'])}{stream['aligned']}"
+        yield f"  stream {name}: {stream['rows']} rows, {span}{aligned_text}"
         for channel in stream["channels"]:
             numbers = "no number" if channel["low"] is None else f"{channel['low']:.6g} .. {channel['high']:.6g}"
             missing_text = f", {channel['missing']} missing" if channel["missing"] else ""
             summary = f"{numbers} {channel['units']}{missing_text}"
             yield f"    {channel['name']:<12} {channel['role']:<6} {channel['quantity']:<26} {summary}"
-    yield f"  {len(run['steps'])} steps"
-    for step in run["steps"]:
+    yield f"  {len(description['steps'])} steps"
+    for step in description["steps"]:
         parameters = ", ".join(
             f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
             for name, value in step["parameters"].items()

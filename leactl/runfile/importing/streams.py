@@ -170,7 +170,7 @@ def build_channel(
     except MissingColumn as lacking:
         raise InputError(document.fault((*keys, "column"), str(lacking))) from None
     if isinstance(column, list):
-        raise InputError(f"{source.place(settings.column, 0)}: {column[0]!r} is not a number")
+        raise InputError(f"{source.location(settings.column, 0)}: {column[0]!r} is not a number")
     scale = number_value(source, settings.scale, (*keys, "scale"), document)
     offset = number_value(source, settings.offset, (*keys, "offset"), document)
     conversion = converter(settings.units or "", settings.quantity)
@@ -181,7 +181,7 @@ def build_channel(
     infinite_rows = np.flatnonzero(np.isinf(values))
     if len(infinite_rows):
         raise InputError(
-            [f"{source.place(settings.column, int(infinite_rows[0]))}: infinite; a missed sample is NaN or empty"]
+            [f"{source.location(settings.column, int(infinite_rows[0]))}: infinite; a missed sample is NaN or empty"]
         )
     if not np.isfinite(values).any():
         raise InputError(f"{source.path}: column {settings.column!r} holds no number at all")
@@ -241,7 +241,7 @@ def stamps(
     rows_without_stamp = np.flatnonzero(~np.isfinite(time))
     if len(rows_without_stamp):
         raise InputError(
-            f"{source.place(base.column, int(rows_without_stamp[0]))}: no stamp;"
+            f"{source.location(base.column, int(rows_without_stamp[0]))}: no stamp;"
             f" {len(rows_without_stamp)} rows have none"
         )
     is_kept = np.concatenate([[True], np.diff(time) != 0]) if base.repeated == "drop" else all_rows
@@ -253,7 +253,7 @@ def stamps(
         finding = "stands twice" if stamp == previous else f"goes back from {previous:.9g} s"
         hint = "; time.repeated: drop leaves the later rows out" if stamp == previous else ""
         count_text = f" ({len(wrong_positions)} such rows)" if len(wrong_positions) > 1 else ""
-        raise InputError(f"{source.place(base.column, row)}: stamp {stamp:.9g} s {finding}{count_text}{hint}")
+        raise InputError(f"{source.location(base.column, row)}: stamp {stamp:.9g} s {finding}{count_text}{hint}")
     return time, is_kept
 
 
@@ -267,14 +267,16 @@ def seconds(source: LogSource, base: TimeBase, raw: Array | list[str]) -> Array:
     assert base.column is not None
     if base.units != "iso8601":
         if isinstance(raw, list):
-            raise InputError(f"{source.place(base.column, 0)}: {raw[0]!r} is not a number; time.units may be iso8601")
+            raise InputError(
+                f"{source.location(base.column, 0)}: {raw[0]!r} is not a number; time.units may be iso8601"
+            )
         return raw * SECONDS[base.units]
     stamps_s = np.empty(len(raw))
     for row, text in enumerate(raw):
         try:
             moment = datetime.fromisoformat(str(text))
         except ValueError:
-            raise InputError(f"{source.place(base.column, row)}: {text!r} is no ISO 8601 date and time") from None
+            raise InputError(f"{source.location(base.column, row)}: {text!r} is no ISO 8601 date and time") from None
         stamps_s[row] = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
     return stamps_s
 

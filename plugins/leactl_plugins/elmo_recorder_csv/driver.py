@@ -105,7 +105,7 @@ class ElmoRecorderCsv(Driver):
             heading: table.column(heading)
             for heading in dict.fromkeys([*filter(None, [time_heading]), *headings_by_signal.values()])
         }
-        numbers_by_heading, number_format = read_numbers(columns, settings, table.place, {})
+        numbers_by_heading, number_format = read_numbers(columns, settings, table.location, {})
         time, time_remark = self._row_times(table, numbers_by_heading.get(time_heading), time_heading)
         wrap_remarks: list[str] = []
         values = np.stack(
@@ -117,7 +117,7 @@ class ElmoRecorderCsv(Driver):
         )
 
         def where(row: int) -> str:
-            return table.place(time_heading or next(iter(headings_by_signal.values())), row)
+            return table.location(time_heading or next(iter(headings_by_signal.values())), row)
 
         ordered = order_rows(time, values, where)
         empty_signals = [
@@ -231,7 +231,7 @@ class ElmoRecorderCsv(Driver):
         rows_beyond = np.flatnonzero((counts < low) | (counts > high))
         if len(rows_beyond):
             raise InputError(
-                f"{table.place(heading, int(rows_beyond[0]))}: {counts[rows_beyond[0]]:.0f} counts; the"
+                f"{table.location(heading, int(rows_beyond[0]))}: {counts[rows_beyond[0]]:.0f} counts; the"
                 f" drive's position_range ends at {low} and {high}: give that of its object 0x607B, or null"
                 " where it does not wrap"
             )
@@ -248,7 +248,7 @@ class ElmoRecorderCsv(Driver):
         if wrapped_rows:
             wrap_remarks.append(
                 f"{heading} wraps {len(wrapped_rows)} times at the end of {low} to {high} counts, first at"
-                f" {table.place(heading, wrapped_rows[0])}: unwrapped"
+                f" {table.location(heading, wrapped_rows[0])}: unwrapped"
             )
         unwrapped: Array = counts + shifts
         return unwrapped

@@ -53,11 +53,11 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
     time_heading = table.heading(time_settings.column) if time_settings.column else ""
     if are_plain and stamps:
         cells[time_heading] = stamps
-    numbers_by_heading, number_format = read_numbers(cells, settings, table.place, bounds)
+    numbers_by_heading, number_format = read_numbers(cells, settings, table.location, bounds)
     remarks = [*table.remarks, str(number_format)]
 
     def where(row: int) -> str:
-        return table.place(time_heading or table.headings[0], row)
+        return table.location(time_heading or table.headings[0], row)
 
     plain_numbers = numbers_by_heading[time_heading] if are_plain and stamps else None
     clock = row_times(len(table.rows), stamps, plain_numbers, time_heading, settings, where)
@@ -68,14 +68,14 @@ def read_series(path: Path, settings: ThermalCsvSettings) -> CameraFile:
         remarks.append(f"{table.repeated_headers + 1} blocks under the same headings")
     remarks += emissivity_remarks(table.asides) + emissivity_column_remarks(table)
     celsius_by_heading = {
-        headings[name]: checked_celsius(headings[name], numbers.values, unit, table.place)
+        headings[name]: checked_celsius(headings[name], numbers.values, unit, table.location)
         for name, numbers in numbers_by_region.items()
     }
     values = np.stack([celsius_by_heading[headings[name]] for name in numbers_by_region], axis=1)
     region_cells = {heading: cells[heading] for heading in headings.values()}
     surrounding_cells = {text for column_cells in region_cells.values() for text in column_cells}
-    remarks += odd_number_remarks(region_cells, surrounding_cells, number_format, table.place)
-    remarks += heat_remarks(celsius_by_heading, unit, table.place)
+    remarks += odd_number_remarks(region_cells, surrounding_cells, number_format, table.location)
+    remarks += heat_remarks(celsius_by_heading, unit, table.location)
     return CameraFile(clock, values, where, remarks)
 
 

@@ -133,7 +133,7 @@ class MessageSource:
         value = distinct_values.pop()
         return value if isinstance(value, str) else float(value)
 
-    def place(self, name: str | int, row: int) -> str:
+    def location(self, name: str | int, row: int) -> str:
         """Return file, column and number of a logged message (from 0), for error messages."""
         return f"{self.path}: {name!r} message {row}"
 

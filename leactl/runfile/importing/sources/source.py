@@ -103,7 +103,7 @@ class LogSource(Protocol):
     def field(self, name: str | int) -> float | str:
         """Return a single value."""
 
-    def place(self, name: str | int, row: int) -> str:
+    def location(self, name: str | int, row: int) -> str:
         """Return file, column and row for messages."""
 
     def tables(self) -> list[ListedTable]:

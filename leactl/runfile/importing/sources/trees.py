@@ -58,7 +58,7 @@ class TreeSource:
             return as_float(value)
         raise MissingColumn(f"{self.path}: {name!r} holds {_described(value)} where one value was expected")
 
-    def place(self, name: str | int, row: int) -> str:
+    def location(self, name: str | int, row: int) -> str:
         """Return file, column and row (from 0) for messages."""
         return f"{self.path}: {name!r} row {row}"
 
@@ -153,11 +153,11 @@ class TreeSource:
             for row, value in enumerate(node):
                 if value is not None and not isinstance(value, bool | int | float | np.number):
                     value_text = repr(value) if isinstance(value, str) else _described(value)
-                    raise InputError(f"{self.place(name, row)}: {value_text} is not a number")
+                    raise InputError(f"{self.location(name, row)}: {value_text} is not a number")
                 try:
                     numbers.append(np.nan if value is None else as_float(value))
                 except MissingColumn as error:
-                    raise InputError(f"{self.place(name, row)}: {error}") from None
+                    raise InputError(f"{self.location(name, row)}: {error}") from None
             return np.frombuffer(numbers, np.float64)
         raise MissingColumn(f"{self.path}: {name!r} holds {_described(node)} where a column of numbers was expected")
 

@@ -35,14 +35,14 @@ class CsvSource(Columns):
 
     began = None
     has_text = True
-    words: ClassVar = {"true": 1.0, "false": 0.0}
+    number_of_word: ClassVar = {"true": 1.0, "false": 0.0}
 
     def __init__(self, path: Path, request: SourceRequest) -> None:
         form = request.csv
-        wanted = None if request.columns is None else [column.name for column in request.columns]
+        requested = None if request.columns is None else [column.name for column in request.columns]
         labels = [column.name for column in request.labels]
         super().__init__(
-            path, form, wanted, labels, options="csv.", most_rows=SURVEYED_ROWS if wanted is None else None
+            path, form, requested, labels, options="csv.", most_rows=SURVEYED_ROWS if requested is None else None
         )
         if not self.lines:
             raise InputError(f"{path}: no row of numbers after line {(form.data_line or form.header_line + 1) - 1}")
@@ -58,7 +58,7 @@ class CsvSource(Columns):
     def _label(self, cell: str) -> str:
         """Convert a cell to a label; a number gets its shortest form."""
         with suppress(ValueError):
-            return cell if cell.lower() in self.words else as_label(self.number(cell))
+            return cell if cell.lower() in self.number_of_word else as_label(self.number(cell))
         return cell
 
     def _known(self, name: str | int, available: Iterable[int]) -> int:
