@@ -22,11 +22,11 @@ UNKNOWN_ACCURACY = TripAccuracy(0.0, math.inf)  # infinite, so that no level cou
 LOWEST_CURRENT_E36300 = 0.002  # A, that can be set; an E36312A answers this or less to CURR? MIN
 OVER_VOLTAGE, OVER_CURRENT = "over-voltage protection", "over-current protection"
 KEYSIGHT_NUMBER = re.compile(r"[+-]\d\.\d{8}E[+-]\d\d", re.ASCII)  # every answer has this length
-INDEPENDENT = "set them independent at the instrument"
+MAKE_INDEPENDENT = "set them independent at the instrument"
 
 
 class Level(NamedTuple):
-    """Command that sets a value, with `{}` in its place, and query that reads it back."""
+    """Command that sets a value, with `{}` in its place if the value varies, and query that reads it back."""
 
     command: str
     query: str
@@ -37,8 +37,7 @@ class Protection(NamedTuple):
 
     name: str
     level: Level
-    switch: str  # empty: it cannot be switched off
-    armed_query: str  # empty: it has no switch
+    switch: Level | None  # arms and disarms it; None: it is always armed
     tripped_query: str
 
 
@@ -58,7 +57,7 @@ class ScpiDialect(NamedTuple):
     measure_voltage: str
     measure_current: str
     switch: str
-    on: Query  # whether the output is on
+    is_on: Query  # whether the output is on
     condition: Query  # 1: constant current, 2: constant voltage
     error: Query
     over_voltage: Protection | None
@@ -75,7 +74,7 @@ class ScpiDialect(NamedTuple):
     trip_accuracy: TripAccuracy = PROTECTION_ACCURACY
 
     @property
-    def off(self) -> bytes:
+    def off_bytes(self) -> bytes:
         """Bytes that switch the output off from any state; the line feed ends an incomplete earlier command."""
         select = self.select.command if self.select else ""
         lines = [line for line in (self.remote, select, self.switch.format("OFF")) if line]
@@ -85,21 +84,26 @@ class ScpiDialect(NamedTuple):
 def _e36xx(_model: str, _output: int) -> ScpiDialect:
     """Return the commands of a Keysight E36xx, which has one output."""
     over_voltage, over_current = (
-        Protection(name, Level(f"{head} {{}}", f"{head}?"), f"{head}:STAT {{}}", f"{head}:STAT?", f"{head}:TRIP?")
+        Protection(
+            name=name,
+            level=Level(f"{head} {{}}", f"{head}?"),
+            switch=Level(f"{head}:STAT {{}}", f"{head}:STAT?"),
+            tripped_query=f"{head}:TRIP?",
+        )
         for name, head in ((OVER_VOLTAGE, "VOLT:PROT"), (OVER_CURRENT, "CURR:PROT"))
     )
     return ScpiDialect(
-        Level("VOLT {}", "VOLT?"),
-        Level("CURR {}", "CURR?"),
-        "MEAS:VOLT?",
-        "MEAS:CURR?",
-        "OUTP {}",
-        Query("OUTP?", replies.parse_boolean),
-        Query("STAT:QUES:COND?", replies.parse_register),
-        Query("SYST:ERR?", replies.parse_error_entry),
-        over_voltage,
-        over_current,
-        KEYSIGHT_NUMBER,
+        voltage=Level("VOLT {}", "VOLT?"),
+        current=Level("CURR {}", "CURR?"),
+        measure_voltage="MEAS:VOLT?",
+        measure_current="MEAS:CURR?",
+        switch="OUTP {}",
+        is_on=Query("OUTP?", replies.parse_boolean),
+        condition=Query("STAT:QUES:COND?", replies.parse_register),
+        error=Query("SYST:ERR?", replies.parse_error_entry),
+        over_voltage=over_voltage,
+        over_current=over_current,
+        reading=KEYSIGHT_NUMBER,
         set_range="VOLT:RANG {}",
         clear=b"\x03",  # device clear on RS-232 (E3632A User's Guide, page 61)
     )
@@ -112,7 +116,7 @@ def _e36300(model: str, output: int) -> ScpiDialect:
     regulates its current. It must be off, because the driver lets an output regulate its current.
     """
     channel_list = f"(@{output})"
-    coupling_refusal = "its outputs are switched or set together: " + INDEPENDENT
+    coupling_refusal = "its outputs are switched or set together: " + MAKE_INDEPENDENT
     required_answers = [
         RequiredAnswer(
             Query(f"CURR:PROT:STAT? {channel_list}", replies.parse_word),
@@ -126,23 +130,22 @@ def _e36300(model: str, output: int) -> ScpiDialect:
     if model != "E36311A":  # whose outputs cannot be paired
         required_answers.append(RequiredAnswer(Query("OUTP:PAIR?", replies.parse_word), ("OFF",), coupling_refusal))
     return ScpiDialect(
-        Level(f"VOLT {{}},{channel_list}", f"VOLT? {channel_list}"),
-        Level(f"CURR {{}},{channel_list}", f"CURR? {channel_list}"),
-        f"MEAS:VOLT? {channel_list}",
-        f"MEAS:CURR? {channel_list}",
-        f"OUTP {{}},{channel_list}",
-        Query(f"OUTP? {channel_list}", replies.parse_boolean),
-        Query(f"STAT:QUES:INST:ISUM{output}:COND?", replies.parse_regulation),
-        Query("SYST:ERR?", replies.parse_error_entry),
-        Protection(
-            OVER_VOLTAGE,
-            Level(f"VOLT:PROT {{}},{channel_list}", f"VOLT:PROT? {channel_list}"),
-            "",
-            "",
-            f"VOLT:PROT:TRIP? {channel_list}",
+        voltage=Level(f"VOLT {{}},{channel_list}", f"VOLT? {channel_list}"),
+        current=Level(f"CURR {{}},{channel_list}", f"CURR? {channel_list}"),
+        measure_voltage=f"MEAS:VOLT? {channel_list}",
+        measure_current=f"MEAS:CURR? {channel_list}",
+        switch=f"OUTP {{}},{channel_list}",
+        is_on=Query(f"OUTP? {channel_list}", replies.parse_boolean),
+        condition=Query(f"STAT:QUES:INST:ISUM{output}:COND?", replies.parse_regulation),
+        error=Query("SYST:ERR?", replies.parse_error_entry),
+        over_voltage=Protection(
+            name=OVER_VOLTAGE,
+            level=Level(f"VOLT:PROT {{}},{channel_list}", f"VOLT:PROT? {channel_list}"),
+            switch=None,
+            tripped_query=f"VOLT:PROT:TRIP? {channel_list}",
         ),
-        None,
-        KEYSIGHT_NUMBER,
+        over_current=None,
+        reading=KEYSIGHT_NUMBER,
         required_answers=tuple(required_answers),
         lowest_current=LOWEST_CURRENT_E36300,
         select=Level(f"INST:NSEL {output}", "INST:NSEL?"),
@@ -158,11 +161,10 @@ def _dp800(model: str, output: int) -> ScpiDialect:
     value_prefix, query_suffix, source = (f"CH{output},", f" CH{output}", f"SOUR{output}:") if output else ("", "", "")
     over_voltage, over_current = (
         Protection(
-            name,
-            Level(f"{head}:VAL {value_prefix}{{}}", f"{head}:VAL?{query_suffix}"),
-            f"{head} {value_prefix}{{}}",
-            f"{head}?{query_suffix}",
-            f"{head}:QUES?{query_suffix}",
+            name=name,
+            level=Level(f"{head}:VAL {value_prefix}{{}}", f"{head}:VAL?{query_suffix}"),
+            switch=Level(f"{head} {value_prefix}{{}}", f"{head}?{query_suffix}"),
+            tripped_query=f"{head}:QUES?{query_suffix}",
         )
         for name, head in ((OVER_VOLTAGE, "OUTP:OVP"), (OVER_CURRENT, "OUTP:OCP"))
     )
@@ -174,30 +176,30 @@ def _dp800(model: str, output: int) -> ScpiDialect:
                 RequiredAnswer(
                     Query(f"OUTP:TRAC? CH{number}", replies.parse_word),
                     ("OFF", "NONE"),
-                    f"the voltages of outputs {pair[0]} and {pair[1]} follow each other: {INDEPENDENT}",
+                    f"the voltages of outputs {pair[0]} and {pair[1]} follow each other: {MAKE_INDEPENDENT}",
                 )
                 for number in (pair if output in pair else ())
             ),
             RequiredAnswer(
                 Query("SYST:ONOFFSYNC?", replies.parse_word),
                 ("OFF",),
-                "its outputs are switched together: " + INDEPENDENT,
+                "its outputs are switched together: " + MAKE_INDEPENDENT,
             ),
         )
     return ScpiDialect(
-        Level(f"{source}VOLT {{}}", f"{source}VOLT?"),
-        Level(f"{source}CURR {{}}", f"{source}CURR?"),
-        f"MEAS:VOLT?{query_suffix}",
-        f"MEAS:CURR?{query_suffix}",
-        f"OUTP {value_prefix}{{}}",
-        Query(f"OUTP?{query_suffix}", replies.parse_boolean),
-        Query(f"STAT:QUES:INST:ISUM{output}:COND?", replies.parse_regulation)
+        voltage=Level(f"{source}VOLT {{}}", f"{source}VOLT?"),
+        current=Level(f"{source}CURR {{}}", f"{source}CURR?"),
+        measure_voltage=f"MEAS:VOLT?{query_suffix}",
+        measure_current=f"MEAS:CURR?{query_suffix}",
+        switch=f"OUTP {value_prefix}{{}}",
+        is_on=Query(f"OUTP?{query_suffix}", replies.parse_boolean),
+        condition=Query(f"STAT:QUES:INST:ISUM{output}:COND?", replies.parse_regulation)
         if output
         else Query("STAT:QUES:COND?", replies.parse_register),
-        Query("SYST:ERR?", replies.parse_error_entry),
-        over_voltage,
-        over_current,
-        re.compile(r"-?\d{1,2}\.\d{3,4}", re.ASCII),  # such as 12.0035; the guide has three decimals as well
+        error=Query("SYST:ERR?", replies.parse_error_entry),
+        over_voltage=over_voltage,
+        over_current=over_current,
+        reading=re.compile(r"-?\d{1,2}\.\d{3,4}", re.ASCII),  # such as 12.0035; the guide has three decimals as well
         required_answers=required_answers,
     )
 
@@ -210,24 +212,24 @@ def _spd3303(_model: str, output: int) -> ScpiDialect:
     """
     status = "SYSTem:STATus?"
     return ScpiDialect(
-        Level(f"CH{output}:VOLTage {{}}", f"CH{output}:VOLTage?"),
-        Level(f"CH{output}:CURRent {{}}", f"CH{output}:CURRent?"),
-        f"MEASure:VOLTage? CH{output}",
-        f"MEASure:CURRent? CH{output}",
-        f"OUTPut CH{output},{{}}",
-        Query(status, partial(replies.parse_status_on, output=output)),
-        Query(status, partial(replies.parse_status_regulation, output=output)),
-        Query("SYSTem:ERRor?", replies.parse_loose_error_entry),
-        None,
-        None,
-        re.compile(r"\d{1,2}\.\d{2,3}", re.ASCII),  # an SPD3303X-E sends two decimals
+        voltage=Level(f"CH{output}:VOLTage {{}}", f"CH{output}:VOLTage?"),
+        current=Level(f"CH{output}:CURRent {{}}", f"CH{output}:CURRent?"),
+        measure_voltage=f"MEASure:VOLTage? CH{output}",
+        measure_current=f"MEASure:CURRent? CH{output}",
+        switch=f"OUTPut CH{output},{{}}",
+        is_on=Query(status, partial(replies.parse_status_on, output=output)),
+        condition=Query(status, partial(replies.parse_status_regulation, output=output)),
+        error=Query("SYSTem:ERRor?", replies.parse_loose_error_entry),
+        over_voltage=None,
+        over_current=None,
+        reading=re.compile(r"\d{1,2}\.\d{2,3}", re.ASCII),  # an SPD3303X-E sends two decimals
         remote="",
         local="",
         required_answers=(
             RequiredAnswer(
                 Query(status, replies.parse_status_outputs),
                 ("independent",),
-                "its outputs are in series or in parallel: " + INDEPENDENT,
+                "its outputs are in series or in parallel: " + MAKE_INDEPENDENT,
             ),
         ),
         decimals=3,
@@ -235,7 +237,7 @@ def _spd3303(_model: str, output: int) -> ScpiDialect:
     )
 
 
-# by the model and the number of its output, 0 for the only one
+# by family; arguments are the model and the number of its output, 0 if it has only one
 DIALECTS: Final[Mapping[str, Callable[[str, int], ScpiDialect]]] = {
     "e36xx": _e36xx,
     "e36300": _e36300,

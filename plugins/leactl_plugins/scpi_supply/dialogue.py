@@ -76,7 +76,7 @@ class ScpiDialogue:
     @property
     def off(self) -> bytes:
         """Bytes that switch the output off from any state."""
-        return self._dialect.off
+        return self._dialect.off_bytes
 
     def synchronise(self) -> Script[InstrumentIdentity]:
         """Query the identity; replies before it belong to earlier queries and are dropped."""
@@ -90,10 +90,10 @@ class ScpiDialogue:
         instrument confirms it.
         """
         while True:
-            yield self._dialect.off
+            yield self._dialect.off_bytes
             self._check_identity((yield from self.synchronise()))
             # patient, as a late answer to an earlier host may be taken for the identity
-            on = yield from ask(self._dialect.on._replace(patient=True))
+            on = yield from ask(self._dialect.is_on._replace(patient=True))
             if on:
                 off_trouble.text = "the output is still on"
                 continue
@@ -237,7 +237,7 @@ class ScpiDialogue:
             protection, level, armed = self._earlier_protections[0]
             yield from self._write_level(protection.level, level)
             if protection.switch:
-                yield protection.switch.format("ON" if armed else "OFF")
+                yield protection.switch.command.format("ON" if armed else "OFF")
             if (yield from _is_armed(protection)) is not armed:
                 raise DeviceError(
                     f"{protection.name} could not be switched {'on' if armed else 'off'} again, as it was before"
@@ -258,7 +258,7 @@ class ScpiDialogue:
         """
         self._regulation.begin_anew()
         yield self._dialect.switch.format("ON" if on else "OFF")
-        if (yield from ask(self._dialect.on)) is not on:
+        if (yield from ask(self._dialect.is_on)) is not on:
             raise DeviceFault(f"the output does not switch {'on' if on else 'off'}")
 
     def measure(self) -> Script[SupplyReading]:
@@ -269,7 +269,7 @@ class ScpiDialogue:
         voltage = yield self._voltage_query
         current = yield self._current_query
         assert voltage is not None and current is not None
-        on = yield from ask(self._dialect.on)
+        on = yield from ask(self._dialect.is_on)
         condition = yield from ask(self._dialect.condition)
         errors = yield from self._read_errors()
         fault = yield from self._trip_fault()
@@ -319,7 +319,7 @@ class ScpiDialogue:
         """
         yield from self._write_level(protection.level, level)
         if protection.switch:
-            yield protection.switch.format("ON")
+            yield protection.switch.command.format("ON")
         if not (yield from _is_armed(protection)):
             raise DeviceError(f"{protection.name} does not stay on")
         if (yield from ask(Query(protection.tripped_query, replies.parse_boolean))):
@@ -351,7 +351,9 @@ class ScpiDialogue:
 
 def _is_armed(protection: Protection) -> Script[bool]:
     """Return whether a protection is armed; a protection without a switch always is."""
-    return bool((yield from ask(Query(protection.armed_query, replies.parse_boolean)))) if protection.switch else True
+    if protection.switch is None:
+        return True
+    return bool((yield from ask(Query(protection.switch.query, replies.parse_boolean))))
 
 
 def _levels_text(volts: float, amperes: float) -> str:
