@@ -226,7 +226,7 @@ def run_protocol(
     from dataclasses import replace
 
     from leactl.protocol.plan import Prompt
-    from leactl.runner.acceptance import judge_all
+    from leactl.runner.acceptance import judge_outcome
     from leactl.runner.operators import confirm_at_once
     from leactl.runner.request import prepare
     from leactl.runner.session import execute
@@ -238,7 +238,7 @@ def run_protocol(
     if asks_operator and request.bench.emulated is None:
         raise InputError(f"protocol '{request.plan.name}' asks the operator; run it by: leactl run {protocol}")
     outcome = execute(request, confirm_at_once, lambda _progress: nullcontext())
-    acceptance, unmet = judge_all(request.plan, outcome)
+    acceptance, unmet = judge_outcome(request.plan, outcome)
     if check and (outcome.error is not None or unmet):
         error = outcome.error or AcceptanceFailed("; ".join(unmet))
         error.add_note(f"run file: {outcome.path}")

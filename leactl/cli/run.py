@@ -105,7 +105,7 @@ def run(
 ) -> None:
     """Run a protocol on a bench: every setpoint supervised, every sample in one run file."""
     from leactl.errors import InputError
-    from leactl.runner.acceptance import judge_all
+    from leactl.runner.acceptance import judge_outcome
     from leactl.runner.event_lines import STDOUT, EventLines
     from leactl.runner.request import prepare
     from leactl.runner.stop_requests import signals_kept_to_the_end
@@ -131,7 +131,7 @@ def run(
         traced_to(trace) as wire_trace,
     ):
         outcome = perform(replace(request, lines=event_lines, trace=wire_trace), page=open_page)
-        acceptance, unmet = judge_all(request.plan, outcome)
+        acceptance, unmet = judge_outcome(request.plan, outcome)
         answer = outcome.as_json() | {"acceptance": acceptance}
         if event_lines is not None:
             event_lines.end(**answer)

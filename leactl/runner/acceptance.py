@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from leactl.runner.outcome import Outcome
 
 
-def check_analysis(plan: Plan, name: str) -> None:
+def check_analysis(plan: Plan, file_name: str) -> None:
     """Raise InputError for an unknown analysis, and for limits on results that it lacks or gives in other units.
 
     Parameters
     ----------
-    name : name of the protocol's file, for messages.
+    file_name : name of the protocol's file, for messages.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def check_analysis(plan: Plan, name: str) -> None:
     limits = {number: limit for number, limit in enumerate(plan.acceptance) if isinstance(limit, Acceptance)}
     if not (named_analysis or limits):
         return
-    document = yamlfile.parse(plan.text, name)
+    document = yamlfile.parse(plan.text, file_name)
     if not is_known(named_analysis or plan.name):
         known = f"known: {', '.join(names())}"
         if named_analysis:
@@ -45,7 +45,12 @@ def check_analysis(plan: Plan, name: str) -> None:
         raise InputError(document.fault(("acceptance",), message))
     results = results_of(named_analysis or plan.name)
     misfits = {number: _misfit(limit, named_analysis or plan.name, results) for number, limit in limits.items()}
-    faults = [document.fault(("acceptance", number, fault[0]), fault[1]) for number, fault in misfits.items() if fault]
+    faults = [
+        document.fault(("acceptance", number, key), message)
+        for number, misfit in misfits.items()
+        if misfit
+        for key, message in [misfit]
+    ]
     if faults:
         raise InputError(faults)
 
@@ -62,22 +67,22 @@ def _misfit(limit: Acceptance, experiment: str, results: Mapping[str, str]) -> t
     return None
 
 
-def judge_all(plan: Plan, outcome: "Outcome") -> tuple[list[dict[str, Any]], list[str]]:
-    """Return a row for every limit of a run, and a line for each unmet limit on a result or channel.
+def judge_outcome(plan: Plan, outcome: "Outcome") -> tuple[list[dict[str, Any]], list[str]]:
+    """Return a row for every limit of a run, and a line for each unmet one.
 
-    If the run failed, the rows are those of limits on channels, and there are no lines.
+    If the run failed, the rows are those of limits on channels and searches, and there are no lines.
     """
     rows: list[dict[str, Any]] = [dict(verdict.row) for verdict in outcome.verdicts]
     if outcome.error is not None or not plan.acceptance:
         return rows, []
-    judged_rows, unmet = judge(plan, outcome.path)
+    judged_rows, unmet = judge_run_file(plan, outcome.path)
     return rows + judged_rows, unmet
 
 
-def judge(plan: Plan, run: Path) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return a row for every limit on a result, and a line for each unmet limit, also of channels.
+def judge_run_file(plan: Plan, run: Path) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return a row for every limit on a result, and a line for each unmet limit, also on channels and searches.
 
-    A limit without a value is not met. The verdicts on channels are read from the run's events.
+    A result without a value does not meet its limit. Verdicts on channels and searches are read from the run's events.
     """
     from leactl.analysis.analyze import analyze_runs
 
@@ -121,7 +126,7 @@ def _judgement(limit: Acceptance, analysed: "Result | InputError") -> tuple[dict
 def _factor(units: str, wanted_units: str) -> float | None:
     """Return the factor from these units to the wanted units; None if the two measure different quantities.
 
-    Units with another zero count as a different quantity: a result in K is a rise, no temperature in degC.
+    Units with another zero count as a different quantity: a result in K is a rise, not a temperature in degC.
     """
     if units == wanted_units:
         return 1.0

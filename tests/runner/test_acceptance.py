@@ -13,7 +13,7 @@ from leactl.analysis.estimate import NAN, Estimate, Result
 from leactl.errors import InputError
 from leactl.protocol import protocolfile, shipped
 from leactl.protocol.plan import Acceptance
-from leactl.runner.acceptance import check_analysis, judge
+from leactl.runner.acceptance import check_analysis, judge_run_file
 from leactl.runner.request import prepare
 from tests.runner.conftest import SPIN
 
@@ -43,7 +43,7 @@ def analysed(monkeypatch):
 
 def judged(*limits):
     plan = replace(protocolfile.load("friction"), acceptance=tuple(Acceptance(*limit) for limit in limits))
-    return judge(plan, Path("run.h5"))
+    return judge_run_file(plan, Path("run.h5"))
 
 
 @pytest.mark.parametrize(

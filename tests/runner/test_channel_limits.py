@@ -11,7 +11,7 @@ from leactl.errors import AcceptanceFailed, InputError
 from leactl.protocol.plan import ChannelBounds
 from leactl.quantities import ChannelSpec
 from leactl.runfile.read.reader import Run
-from leactl.runner.acceptance import judge
+from leactl.runner.acceptance import judge_run_file
 from leactl.runner.channel_limits import ChannelLimits
 from tests.runner.conftest import SPIN
 
@@ -47,7 +47,7 @@ def test_limits_that_are_kept_and_not_are_told_in_rows_lines_and_events(spin):
     from leactl.protocol import protocolfile
 
     plan = protocolfile.load(str(outcome.path.parent.parent / "protocol.yaml"))
-    assert judge(plan, outcome.path) == ([], [f"acceptance: {told[1]}"])
+    assert judge_run_file(plan, outcome.path) == ([], [f"acceptance: {told[1]}"])
 
 
 def test_a_limit_may_stop_the_run_at_once(spin):

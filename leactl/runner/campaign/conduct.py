@@ -16,7 +16,7 @@ from leactl.errors import LeactlError, Stopped
 from leactl.protocol.plan import Plan
 from leactl.runfile.write.run_info import new_run_id
 from leactl.runner import locks
-from leactl.runner.acceptance import judge
+from leactl.runner.acceptance import judge_run_file
 from leactl.runner.campaign import folder as campaign_folder
 from leactl.runner.campaign.campaignfile import Campaign
 from leactl.runner.campaign.entries import CampaignEntry, previews
@@ -229,4 +229,4 @@ def clock(seconds: float) -> str:
 
 def _unmet(plan: Plan, run: Path) -> tuple[str, ...]:
     """Return one line for each acceptance limit of a plan that its run did not meet."""
-    return tuple(judge(plan, run)[1]) if plan.acceptance else ()
+    return tuple(judge_run_file(plan, run)[1]) if plan.acceptance else ()
