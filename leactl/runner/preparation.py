@@ -28,7 +28,7 @@ class Admitted(NamedTuple):
     request: Request  # with the plan that the windings allow
     bench: Bench
     supervisor: Supervisor
-    stays_on: Sequence[str]  # for each supply that the plan switches on, the consequence if nobody switches it off
+    supplies_left_on: Sequence[str]  # the consequence for each, if nobody switches it off
 
 
 def admit(request: Request, windings: Windings) -> Admitted:

@@ -45,7 +45,7 @@ Watch = Callable[[Progress], AbstractContextManager[object]]
 
 @dataclass(frozen=True)
 class RunContext:
-    """A run on its open bench, with its supervisor, watchdog and latch, what people ask of it, and its view."""
+    """A run on its open bench, with its supervisor, watchdog and latch, the stop and pause requests, and its view."""
 
     request: Request
     bench: Bench
@@ -56,7 +56,7 @@ class RunContext:
     control: RunControl
     watch: Watch
     announcement: Announcement
-    stays_on: Sequence[str]  # for each supply, the consequence if nobody switches it off
+    supplies_left_on: Sequence[str]  # the consequence for each, if nobody switches it off
 
 
 class SafeEnd(NamedTuple):
@@ -78,6 +78,8 @@ def execute(
 
     Parameters
     ----------
+    operator : asks a person at the bench and waits.
+    watch : returns the context in which the run is shown.
     stops : called once a cycle, besides signals and `leactl bench stop`; the first that returns a cause ends the run.
     pauses : each returns whether a pause, or its end, has been asked for since its last call.
 
@@ -87,6 +89,7 @@ def execute(
     SafetyTrip : the bench is latched; nothing was touched.
     DeviceError : another run holds the bench, or a device could not be opened; the opened ones are safe and closed.
     RecordingFailed : the run file could not be made.
+    LeactlError : the latch cannot be opened; nothing was touched.
     """
     check(request)
     run_id = request.run_id or new_run_id(request.plan.name, datetime.now(UTC))
@@ -104,7 +107,7 @@ def execute(
             ) as announcement,
         ):
             windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
-            request, bench, supervisor, stays_on = admit(request, windings)
+            request, bench, supervisor, supplies_left_on = admit(request, windings)
             for source in (announcement.stop_cause, *stops):
                 stop.add_source(source)
             with windings.remembered(before_writing=announcement.renew):
@@ -123,7 +126,7 @@ def execute(
                             control,
                             watch,
                             announcement,
-                            stays_on,
+                            supplies_left_on,
                         )
                     )
                 finally:
@@ -165,10 +168,10 @@ def _run(context: RunContext) -> Outcome:
         recording, loop = _prepare_recording(context)
     except BaseException:
         confirmations = context.supervisor.make_safe()
-        doubt = unconfirmed_devices(confirmations)
-        context.windings.end(confirmed=not doubt)
-        if doubt:
-            context.watchdog.take_over(doubt)
+        unconfirmed = unconfirmed_devices(confirmations)
+        context.windings.end(confirmed=not unconfirmed)
+        if unconfirmed:
+            context.watchdog.take_over(unconfirmed)
         context.announcement.tell_safe(confirmations)
         raise
     with _view_of(context.watch, recording.progress):
@@ -192,7 +195,7 @@ def _prepare_recording(context: RunContext) -> tuple[Recording, Loop]:
     progress = Progress(f"{plan.name} on {request.bench.name}", plan.duration_s, bench.streams())
     if request.lines is not None:
         request.lines.begin(progress, run=str(writer.path), protocol=plan.name, bench=request.bench.name)
-        writer.heard = {"steps": request.lines.step, "events": request.lines.event}
+        writer.listeners = {"steps": request.lines.step, "events": request.lines.event}
     recording = Recording(writer, flush, progress, channel_limits_of(plan, bench))
     return recording, Loop(plan, bench, context.supervisor, context.watchdog, context.control, recording)
 
@@ -201,7 +204,7 @@ def _run_loop(context: RunContext, recording: Recording, loop: Loop) -> BaseExce
     """Record what is known before the first cycle and run the loop; return what ended it early."""
     request, bench, writer, progress = context.request, context.bench, recording.writer, recording.progress
     try:
-        introduce(request, context.windings, writer, bench, context.stays_on)
+        introduce(request, context.windings, writer, bench, context.supplies_left_on)
         warn_of_bench(request, writer, bench, progress)
         if context.announcement.fault:
             writer.event(0.0, "warning", "runner", context.announcement.fault)
@@ -221,16 +224,16 @@ def _make_safe_and_latch(context: RunContext, error: BaseException | None, run_p
     watchdog = context.watchdog
     watchdog.allow_end()  # it still watches, and bears the longer silence that making safe may take
     confirmations = context.supervisor.make_safe()
-    doubt = unconfirmed_devices(confirmations)
-    context.windings.end(confirmed=not doubt)
-    if doubt:
-        watchdog.take_over(doubt)
+    unconfirmed = unconfirmed_devices(confirmations)
+    context.windings.end(confirmed=not unconfirmed)
+    if unconfirmed:
+        watchdog.take_over(unconfirmed)
     else:
         watchdog.dismiss()
     if watchdog.verdict():  # why it stopped the run, if it did; readable after its end
         error = joined(SafetyTrip(watchdog.verdict()), error)
     error = with_unconfirmed(error, confirmations)
-    out_of_order = error is not None and (bool(doubt) or is_out_of_order(error))
+    out_of_order = error is not None and (bool(unconfirmed) or is_out_of_order(error))
     if error is not None and out_of_order:
         _set_latch(context.latch, error, run_path)
     context.announcement.tell_safe(confirmations)
@@ -293,7 +296,10 @@ def _record_verdicts(
 
 
 def _pause_wanted(announcement: Announcement, pauses: Sequence[Callable[[], bool]]) -> bool:
-    """Return whether a pause is wanted: a key at the terminal toggles what `leactl bench pause` and `resume` set."""
+    """Return whether a pause is wanted, after each key pressed since the last call has toggled the pause.
+
+    `leactl bench pause` and `resume` set the same pause.
+    """
     for pressed in pauses:
         if pressed():
             announcement.pause(not announcement.paused)

@@ -69,7 +69,8 @@ class RunWriter:
         self._buffers = {name: RowBuffer(len(specs)) for name, specs in streams.items()}
         self._written = dict.fromkeys(streams, 0)
         self._tables: dict[str, list[dict[str, Any]]] = {name: [] for name in layout.TABLES}
-        self.heard: dict[str, Callable[[Mapping[str, Any]], None]] = {}  # listener for the rows of a table, by its name
+        # listener for the rows of a table, by its name
+        self.listeners: dict[str, Callable[[Mapping[str, Any]], None]] = {}
         self._tables_written = dict.fromkeys(layout.TABLES, 0)
         partial_path = directory / f"{info.run_id}.h5.partial"
         refuse_existing(self.path)
@@ -113,8 +114,8 @@ class RunWriter:
     def _add_row(self, table: str, row: dict[str, Any]) -> None:
         """Add a row to a table in memory, and pass it to the table's listener."""
         self._tables[table].append(row)
-        if table in self.heard:
-            self.heard[table](row)
+        if table in self.listeners:
+            self.listeners[table](row)
 
     def flush(self) -> None:
         """Write everything so far to the file, where a reader or a recovery finds it."""
