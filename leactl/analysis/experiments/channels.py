@@ -108,8 +108,9 @@ def result_of_run(run: Run, channel: Sequence[str] | None) -> Result:
     grids: list[Grid] = []
     for label, step in labelled_excitations(run):
         response = gain_and_phase(run, label, step, measured)
-        step_results, step_plots, step_grids = response.value
-        results, plots, grids = results + step_results, plots + step_plots, grids + step_grids
+        results += response.value.estimates
+        plots += response.value.plots
+        grids += response.value.grids
         notes += response.notes
     if channel or len(measured) <= MOST_PLOTTED:
         plots += [plot for name, values in measured.items() for plot in channel_plots(name, values, holds)]

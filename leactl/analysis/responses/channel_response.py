@@ -1,6 +1,7 @@
 """Gain and phase of each measured channel over the setpoint that a chirp, a multisine or noise moves."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,13 +21,19 @@ LEAST_LINE_POWER_SHARE = 0.5  # of the greatest power within a line's width; les
 LISTED_FREQUENCIES = 5  # frequencies that are results; all are in the grid
 
 
-def gain_and_phase(
-    run: Run, label: str, step: Step, measured: dict[str, Channel]
-) -> Noted[tuple[list[Estimate], list[Plot], list[Grid]]]:
+class Responses(NamedTuple):
+    """Responses of the channels in one step, as the parts of a result."""
+
+    estimates: list[Estimate]
+    plots: list[Plot]
+    grids: list[Grid]
+
+
+def gain_and_phase(run: Run, label: str, step: Step, measured: dict[str, Channel]) -> Noted[Responses]:
     """Return the response of every channel to the setpoint that moves in a step.
 
-    Notes name the channels without a response. `label` is the prefix of the results' names; `measured` has the channels
-    by name.
+    Notes name the channels whose response is not known, and why. `label` is the prefix of the results' names;
+    `measured` has the channels by name.
     """
     estimates: list[Estimate] = []
     plots: list[Plot] = []
@@ -34,7 +41,7 @@ def gain_and_phase(
     setpoint = moving_setpoint(run, step)
     if setpoint is None:
         note = f"{run.path}: {label}: no setpoint moves in this step, so gain and phase are not known"
-        return Noted((estimates, plots, grids), (note,))
+        return Noted(Responses(estimates, plots, grids), (note,))
     names_by_reason: dict[str, list[str]] = {}
     for name, channel in measured.items():
         response = response_of(setpoint, channel, step)
@@ -48,11 +55,11 @@ def gain_and_phase(
         plots += response_plots(title, response, units)
         grids.append(response_grid(title, step, response, units))
     notes = tuple(f"{run.path}: {label}: {reason}: {listed(names)}" for reason, names in names_by_reason.items())
-    return Noted((estimates, plots, grids), notes)
+    return Noted(Responses(estimates, plots, grids), notes)
 
 
 def moving_setpoint(run: Run, step: Step) -> Channel | None:
-    """Return the setpoint channel of a step's role that changes in the step; None if no setpoint does."""
+    """Return the first setpoint channel of the step's role that changes in the step; None if none does."""
     role = str(step.parameters.get("role", "test"))
     for stream, specs in run.streams.items():
         for spec in specs:
@@ -100,14 +107,18 @@ def response_of(setpoint: Channel, channel: Channel, step: Step) -> Response | s
     return response.at(is_usable)
 
 
-def excited_frequencies(reference: Array, interval: float, frequency: Array, resolved: float) -> Mask:
-    """Return which frequencies the setpoint excites, by a window whose side lobes are below -90 dB."""
+def excited_frequencies(reference: Array, interval: float, frequency: Array, resolution: float) -> Mask:
+    """Return the mask of the frequencies [Hz] that the setpoint excites, shape (frequencies,).
+
+    A frequency counts if the setpoint has power within half a `resolution` [Hz] of it, seen through a window whose side
+    lobes are below -90 dB.
+    """
     from scipy.ndimage import maximum_filter1d
     from scipy.signal.windows import blackmanharris
 
     power = np.abs(np.fft.rfft((reference - reference.mean()) * blackmanharris(len(reference)))) ** 2
     bin_frequency = np.fft.rfftfreq(len(reference), interval)
-    half_width_bins = round(0.5 * resolved / bin_frequency[1])
+    half_width_bins = round(0.5 * resolution / bin_frequency[1])
     greatest_nearby_power = maximum_filter1d(power, 2 * half_width_bins + 1)
     return np.asarray(np.interp(frequency, bin_frequency, greatest_nearby_power) > LEAST_POWER_SHARE * power.max())
 
@@ -120,11 +131,15 @@ def gain_and_phase_estimates(title: str, response: Response, units: str) -> list
     for index in indices:
         suffix = f"at_{response.frequency[index]:.4g}_Hz"
         gain, phase = float(response.gain[index]), float(phases[index])
-        std = float(response.relative_std[index])
-        half_width = std * t_quantile(np.inf)
+        relative_std = float(response.relative_std[index])  # of the gain; in rad, the standard uncertainty of the phase
+        half_width = relative_std * t_quantile(np.inf)
         low = max(gain * (1.0 - half_width), 0.0)
-        estimates.append(Estimate(f"{title}_gain_{suffix}", gain, gain * std, low, gain * (1.0 + half_width), units))
-        estimates.append(Estimate(f"{title}_phase_{suffix}", phase, std, phase - half_width, phase + half_width, "rad"))
+        estimates.append(
+            Estimate(f"{title}_gain_{suffix}", gain, gain * relative_std, low, gain * (1.0 + half_width), units)
+        )
+        estimates.append(
+            Estimate(f"{title}_phase_{suffix}", phase, relative_std, phase - half_width, phase + half_width, "rad")
+        )
     return estimates
 
 

@@ -17,7 +17,7 @@ from leactl.analysis.statistics.regression import Array
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Channel, Run, Step
 
-FEWEST_GAPLESS_SAMPLES = 1600  # four windows of the estimator
+FEWEST_GAPLESS_SAMPLES = 1600  # 4 x WINDOW_LAGS of noise_response: record over longest lag
 STAMP_ROUNDING_S = 1e-6  # of time stamps; a sample at the end of a step may belong to its neighbour
 MOST_INTERVAL_DEVIATION = 0.2  # largest difference of an interval from the median one, as a share of it
 
@@ -71,13 +71,13 @@ def records_of(run: Run, experiment: NoiseExperiment) -> Noted[list[NoiseRecord]
         if hold.start in clipped_starts:
             record = f"{experiment.response} is clipped at {clipping_value:g} {response.units}"
         else:
-            record = _record(str(run.path), reference, response, step, experiment)
+            record = _longest_gapless_record(str(run.path), reference, response, step, experiment)
         if isinstance(record, str):
             left_out.setdefault(record, []).append(f"{hold.setpoint:g} at {step.start:.1f} s")
         else:
             records.append(record)
     if not records:
-        reasons = "; ".join(f"{len(holds_left_out)}: {reason}" for reason, holds_left_out in left_out.items())
+        reasons = "; ".join(f"{len(stretches)}: {reason}" for reason, stretches in left_out.items())
         description = (
             f"{len(steps)} stretches of noise, none of use ({reasons})"
             if steps
@@ -96,7 +96,7 @@ def _is_noise(step: Step, level_key: str) -> bool:
     return step.name == "noise" and numeric and step.parameters.get("role", "test") == "test"
 
 
-def _record(
+def _longest_gapless_record(
     run_path: str, reference: Channel, response: Channel, step: Step, experiment: NoiseExperiment
 ) -> NoiseRecord | str:
     """Return the longest gapless part of a stretch of noise, filtered; or the reason why the stretch is not used."""
@@ -127,7 +127,7 @@ def _record(
     columns = []
     for channel in (reference, response):
         values = channel.values[begin + piece_start : begin + piece_stop]
-        # starts at zero: the filter would answer the first value as a step
+        # less the first value, so that the filter starts at rest and does not answer it as a step
         filtered = values if sections is None else sosfilt(sections, values - values[:1])
         columns.append(filtered[settled])
     if not columns[0].std() > 0.0:
