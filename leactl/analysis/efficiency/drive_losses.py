@@ -14,14 +14,14 @@ from leactl.runfile.read.reader import Channel, Run
 FEWEST_HOLDS = 2  # with a current of the DC link
 
 
-def drives_loss(runs: Sequence[Run], points: OperatingPoints, calibration: PowerCalibration) -> Noted[list[Estimate]]:
+def drive_losses(runs: Sequence[Run], points: OperatingPoints, calibration: PowerCalibration) -> Noted[list[Estimate]]:
     """Estimate the loss of both drives together [W] as the mean over the holds.
 
     The list is empty if q-axis voltages or the current of the DC link were not measured, or if too few holds remain.
     Holds in which the DC link shows no power are left out: a supply that cannot take power back hides the power that
     the drives return.
     """
-    link_channels = [link_of(run) for run in runs]
+    link_channels = [dc_link_channels(run) for run in runs]
     if (
         not calibration.by_measured_voltage
         or not all(link_channels)
@@ -32,7 +32,9 @@ def drives_loss(runs: Sequence[Run], points: OperatingPoints, calibration: Power
             " link"
         )
         return Noted([], (note,))
-    terminal_powers = np.sum([balance(points, role, True, calibration).electrical for role in OTHER_ROLE], axis=0)
+    terminal_powers = np.sum(
+        [balance(points, role, driving=True, calibration=calibration).electrical for role in OTHER_ROLE], axis=0
+    )
     losses = []
     for grid_hold, terminal_power in zip(points.holds, terminal_powers, strict=True):
         channels = link_channels[grid_hold.run]
@@ -48,7 +50,7 @@ def drives_loss(runs: Sequence[Run], points: OperatingPoints, calibration: Power
     return Noted([Estimate("drives_loss", mean_loss, std, mean_loss - half_width, mean_loss + half_width, "W")])
 
 
-def link_of(run: Run) -> tuple[Channel, Channel] | None:
+def dc_link_channels(run: Run) -> tuple[Channel, Channel] | None:
     """Return voltage and current of the drives' DC link, measured by one device; None if the run lacks one of them."""
     for role in ("bench", *OTHER_ROLE):
         for current in run.channels("bus_current", role):

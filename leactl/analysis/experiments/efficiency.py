@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from leactl.analysis.efficiency.checks import refuse_swapped_signs, with_drift
-from leactl.analysis.efficiency.drive_losses import drives_loss
+from leactl.analysis.efficiency.drive_losses import drive_losses
 from leactl.analysis.efficiency.known_parameters import GivenParameters, calibration_of, sources_of
 from leactl.analysis.efficiency.maps import currents_and_voltages, grid_of, speeds_and_torques
 from leactl.analysis.efficiency.means import MapMeans
@@ -139,7 +139,7 @@ def analyze(
             notes += means.remarks(f"{role} {mode}")
     if not results:
         raise NotIdentifiable("\n".join([f"{error_prefix}: no point of the grid was held", *notes]))
-    link_loss = drives_loss(runs, points, calibration)
+    link_loss = drive_losses(runs, points, calibration)
     results += link_loss.value
     notes += [*link_loss.notes, sources_of(stds)]
     paths = tuple(str(run.path) for run in runs)
