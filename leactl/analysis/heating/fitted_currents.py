@@ -1,7 +1,7 @@
 """Currents that the actuator of a thermal fit can carry, with the uncertainty of the fit.
 
-`leactl thermal limits` computes them from a motor file and its tolerances, for the worst actuator within them. This
-module computes them for the actuator that was heated.
+`leactl thermal limits` computes these currents from a motor file, for the worst actuator within its tolerances; this
+module, for the actuator that was heated.
 """
 
 from leactl.analysis.estimate import Estimate
