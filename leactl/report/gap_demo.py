@@ -10,9 +10,9 @@ from leactl.report.gap_words import (
     effect_meaning,
     enumerated,
     parameter_text,
-    picture_words,
+    picture_text,
     probability_text,
-    variable_words,
+    variable_text,
 )
 from leactl.report.html import render
 from leactl.report.terminal import aligned, list_line
@@ -95,7 +95,7 @@ def demonstration_lines(demonstration: Demonstration, seed: int, files: Files) -
     """Return the lines that the terminal shows."""
     picture = demonstration.cause.picture if demonstration.cause is not None else None
     picture_lines = (
-        [f"over {variable_words(picture)}, held-out runs: {picture_words(picture)}"] if picture is not None else []
+        [f"over {variable_text(picture)}, held-out runs: {picture_text(picture)}"] if picture is not None else []
     )
     sentences = [verdict(demonstration), effect_meaning(demonstration.planted), *picture_lines]
     file_lines = [f"wrote {files.page}", f"the same again: leactl gap demo --seed {seed}"]

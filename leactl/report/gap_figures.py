@@ -14,10 +14,10 @@ from leactl.report.gap_words import (
     bare_units,
     channel_label,
     open_gap,
-    picture_words,
+    picture_text,
     region_text,
-    residual_words,
-    variable_words,
+    residual_text,
+    variable_text,
 )
 
 MOST_CARDS = 5  # each of one channel
@@ -78,7 +78,7 @@ def effect_cards(diagnosis: DiagnosisResult) -> list[Card]:
 
 def rest_cards(residual: Rest) -> list[Card]:
     """Return a card for each variable that an unexplained residual depends on."""
-    return [picture_card(variable_words(picture), picture, LEFT_AND_CLOSED, PICTURE) for picture in residual.shapes]
+    return [picture_card(variable_text(picture), picture, LEFT_AND_CLOSED, PICTURE) for picture in residual.shapes]
 
 
 def picture_card(title: str, picture: Picture, names: tuple[str, str], caption: str) -> Card:
@@ -95,9 +95,9 @@ def picture_card(title: str, picture: Picture, names: tuple[str, str], caption: 
     zero_ends = np.asarray([low[0], high[-1]]) if len(drawn_bins) else np.zeros(0)
     layers.append(LineMarks("", "zero", zero_ends, np.zeros(len(zero_ends)), connected=True))
     keys = [(layer.style, layer.name) for layer in layers if layer.name]
-    x_label = with_units(variable_words(picture), picture.variable_units)
-    drawn_chart = chart(layers, x_label, with_units(residual_words(picture), picture.units), keys=keys)
-    return Card(title, picture_words(picture), [CaptionedChart(caption, drawn_chart)])
+    x_label = with_units(variable_text(picture), picture.variable_units)
+    drawn_chart = chart(layers, x_label, with_units(residual_text(picture), picture.units), keys=keys)
+    return Card(title, picture_text(picture), [CaptionedChart(caption, drawn_chart)])
 
 
 def compared_models(has_effects: bool) -> tuple[tuple[str, str], tuple[str, str]]:

@@ -37,7 +37,7 @@ from leactl.report.gap_words import (
     probability_text,
     region_text,
     rest_channel,
-    rest_words,
+    rest_text,
     three_digits,
     verdict_sentence,
 )
@@ -126,7 +126,7 @@ def rest_content(residual: Rest) -> dict[str, Any]:
     """Return the dependences of the unexplained residual, the nearest effects, and the deciding experiment."""
     return {
         "channel": rest_channel(residual),
-        "words": rest_words(residual),
+        "words": rest_text(residual),
         "nearest": residual.nearest,
         "experiment": residual.experiment,
         "cards": rest_cards(residual),

@@ -23,14 +23,14 @@ from leactl.report.gap_words import (
     multiple_of_floor,
     open_gap,
     parameter_text,
-    picture_words,
+    picture_text,
     probability_text,
-    refusal_words,
+    refusal_text,
     region_text,
     rest_channel,
-    rest_words,
+    rest_text,
     three_digits,
-    variable_words,
+    variable_text,
     verdict_sentence,
 )
 from leactl.report.html import without_control_characters
@@ -95,11 +95,11 @@ def unexplained_part(diagnosis: DiagnosisResult, width: int) -> str:
     residual = diagnosis.unexplained
     if residual is None:
         return ""
-    lines = [filled(f"not explained: {rest_channel(residual)}", width), filled(rest_words(residual), width, 2)]
+    lines = [filled(f"not explained: {rest_channel(residual)}", width), filled(rest_text(residual), width, 2)]
     lines += [
-        filled(f"over {variable_words(picture)}: {picture_words(picture)}", width, 2) for picture in residual.shapes
+        filled(f"over {variable_text(picture)}: {picture_text(picture)}", width, 2) for picture in residual.shapes
     ]
-    lines += [filled(f"near: {refusal_words(near)}", width, 2) for near in residual.nearest]
+    lines += [filled(f"near: {refusal_text(near)}", width, 2) for near in residual.nearest]
     if residual.experiment:
         lines.append(filled(f"to decide: leactl run {residual.experiment}", width, 2))
     return "\n".join(lines)
@@ -111,7 +111,7 @@ def cause_lines(cause: Cause, width: int) -> list[str]:
     name_width = max((len(parameter.name) for parameter in cause.parameters), default=0)
     lines += [f"          {parameter.name:{name_width}}  {parameter_text(parameter)}" for parameter in cause.parameters]
     if cause.picture is not None:
-        lines.append(filled(f"over {variable_words(cause.picture)}: {picture_words(cause.picture)}", width, 10))
+        lines.append(filled(f"over {variable_text(cause.picture)}: {picture_text(cause.picture)}", width, 10))
     if cause.indistinguishable_from:
         lines.append(filled(f"cannot be told from {enumerated(cause.indistinguishable_from)}", width, 10))
     if cause.change:

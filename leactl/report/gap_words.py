@@ -33,11 +33,16 @@ VERDICTS = {
     "effect": "The model lacks {causes}.",
     "unknown": "A gap remains that no effect of the library explains.",
 }
-FAR_OFF = {  # beginnings of the verdict if a replay is far from the data
-    "none": "Nothing in these runs shows what the model lacks, but a replay of",
-    "calibration": "Other parameters explain what these runs tell of the model, but a replay of",
+FAR_OFF = {  # the verdict if a replay is far from the data
+    "none": (
+        "Nothing in these runs shows what the model lacks, but a replay of {channel} stands {floors:.3g} floors off."
+    ),
+    "calibration": (
+        "Other parameters explain what these runs tell of the model, but a replay of {channel} stands {floors:.3g}"
+        " floors off."
+    ),
 }
-Channel = Where | Shrinkage
+ChannelGap = Where | Shrinkage
 
 
 def verdict_sentence(diagnosis: DiagnosisResult) -> str:
@@ -46,7 +51,7 @@ def verdict_sentence(diagnosis: DiagnosisResult) -> str:
     gap = next((channel for channel in largest_first(diagnosis.shrinkage) if channel.floor_rms > 0.0), None)
     if diagnosis.verdict in FAR_OFF and gap and gap.calibrated_rms > MOST_REPLAY_MISS * gap.floor_rms:
         floors = gap.calibrated_rms / gap.floor_rms
-        return f"{FAR_OFF[diagnosis.verdict]} {channel_label(gap, diagnosis.shrinkage)} stands {floors:.3g} floors off."
+        return FAR_OFF[diagnosis.verdict].format(channel=channel_label(gap, diagnosis.shrinkage), floors=floors)
     if diagnosis.verdict != "effect" or not faults:
         return VERDICTS[diagnosis.verdict].format(causes=enumerated(missing_effects))
     missing_clause = f"; with it mended, the model lacks {enumerated(missing_effects)}" if missing_effects else ""
@@ -88,7 +93,7 @@ def effect_meaning(effect: str) -> str:
     return setup_faults()[effect].meaning if effect in setup_faults() else ""
 
 
-def channel_label(channel: Channel | SimulatorFloor, channels: Sequence[Channel | SimulatorFloor]) -> str:
+def channel_label(channel: ChannelGap | SimulatorFloor, channels: Sequence[ChannelGap | SimulatorFloor]) -> str:
     """Return the name of a channel, with its role if `channels` has its quantity and set-up in another role too."""
     roles = {
         candidate.role
@@ -98,7 +103,7 @@ def channel_label(channel: Channel | SimulatorFloor, channels: Sequence[Channel 
     return ", ".join(filter(None, [channel.quantity, channel.mechanical, channel.role if len(roles) > 1 else ""]))
 
 
-def open_gap(channel: Channel) -> bool:
+def open_gap(channel: ChannelGap) -> bool:
     """Return whether the calibrated model leaves a gap in this channel."""
     return channel.calibrated_rms > 0.0 and channel.calibrated_rms >= LEAST_GAP_FLOORS * channel.floor_rms
 
@@ -211,12 +216,12 @@ def percent_text(share: float) -> str:
     return f"{100.0 * share:.0f} %".replace("-0 %", "0 %") if math.isfinite(share) else "not known"
 
 
-def multiple_of_floor(channel: Channel) -> str:
+def multiple_of_floor(channel: ChannelGap) -> str:
     """Return the calibrated gap as a multiple of the channel's floor."""
     return f"{three_digits(channel.calibrated_rms / channel.floor_rms)} x" if channel.floor_rms > 0.0 else "no floor"
 
 
-def after_calibration(channel: Channel, floor_name: str) -> str:
+def after_calibration(channel: ChannelGap, floor_name: str) -> str:
     """Return a text with the calibrated gap as a multiple of the channel's floor, which is called `floor_name`."""
     return f"{multiple_of_floor(channel)} its {floor_name} after calibration" if channel.floor_rms > 0.0 else "no floor"
 
@@ -233,7 +238,7 @@ def region_text(region: Region | None, share: float) -> str:
     return f"{region.variable}{turn_text} {range_text}, {percent_text(share)}"
 
 
-def variable_words(picture: Picture) -> str:
+def variable_text(picture: Picture) -> str:
     """Return the name of the variable of a picture; for a folded angle, with the number of periods in a turn."""
     if picture.periods is not None:
         period_text = f"one of {picture.periods:.4g} periods of " if picture.periods > 1.0 else ""
@@ -241,13 +246,13 @@ def variable_words(picture: Picture) -> str:
     return VARIABLES[picture.variable].label if picture.variable in VARIABLES else picture.variable
 
 
-def residual_words(picture: Picture) -> str:
+def residual_text(picture: Picture) -> str:
     """Return the name of the residual that a picture shows over its variable."""
     sign_text = f" x sign of {VARIABLES[picture.along].label}" if picture.along in VARIABLES else ""
     return f"{picture.quantity}, {picture.mechanical}: residual{sign_text}"
 
 
-def picture_words(picture: Picture) -> str:
+def picture_text(picture: Picture) -> str:
     """Return a text on the RMS of a picture before and after, and the number of bins whose mean differs from zero."""
     units, bins = bare_units(picture.units), len(picture.bins)
     rms_text = f"{three_digits(picture.before_rms)} {units} before, {three_digits(picture.after_rms)} {units} after"
@@ -261,7 +266,7 @@ def rest_channel(residual: Rest) -> str:
     return f"{residual.quantity}, {residual.mechanical} ({residual.equation})"
 
 
-def rest_words(residual: Rest) -> str:
+def rest_text(residual: Rest) -> str:
     """Return a text on the variables of an unexplained residual, and the share that a free function of them closes."""
     if residual.closable is None:
         return "held-out runs leave no gap beyond noise there"
@@ -283,6 +288,6 @@ def rest_words(residual: Rest) -> str:
     return f"it follows nothing that is logged, nor changes slowly with time; {closable_text}"
 
 
-def refusal_words(near: Near) -> str:
+def refusal_text(near: Near) -> str:
     """Return a text with a near effect and the reason why it is not named."""
     return f"{near.effect}, refused: {near.refused_because}"

@@ -6,7 +6,7 @@ import pytest
 
 from leactl.gap.diagnosis import Cause, DiagnosisResult, Shrinkage
 from leactl.report.gap_text import render
-from leactl.report.gap_words import rest_words
+from leactl.report.gap_words import rest_text
 from tests.report.answers import answer, rest
 
 
@@ -109,13 +109,13 @@ def test_what_is_not_explained_is_described():
     ],
 )
 def test_time_and_nothing_logged_are_answers_too(depends_on, closable, words):
-    assert words in rest_words(rest(depends_on=depends_on, closable=closable))
+    assert words in rest_text(rest(depends_on=depends_on, closable=closable))
 
 
 def test_what_repeats_in_time_is_told_with_how_often():
-    alone = rest_words(rest(depends_on=("time",), repeats_Hz=1.6967, closable=0.01))
+    alone = rest_text(rest(depends_on=("time",), repeats_Hz=1.6967, closable=0.01))
     assert "it repeats in time, 1.697 times a second, whatever the state is; a free function" in alone
-    beside = rest_words(rest(depends_on=("angle", "time"), repeats_Hz=1.6967, closable=0.4))
+    beside = rest_text(rest(depends_on=("angle", "time"), repeats_Hz=1.6967, closable=0.4))
     assert "on held-out runs; what that leaves repeats in time, 1.697 times a second" in beside
 
 
