@@ -86,7 +86,7 @@ class Picture:
     variable: str
     variable_units: str
     periods: float | None  # parts of a turn that an angle is folded by; None where it is not folded
-    along: str | None  # variable whose sign the residual is multiplied by; None for no sign
+    along: str | None  # what the residual is multiplied by the sign of: a variable, or a text; None for no sign
     quantity: str
     role: str
     mechanical: str

@@ -248,7 +248,8 @@ def variable_text(picture: Picture) -> str:
 
 def residual_text(picture: Picture) -> str:
     """Return the name of the residual that a picture shows over its variable."""
-    sign_text = f" x sign of {VARIABLES[picture.along].label}" if picture.along in VARIABLES else ""
+    sign_label = VARIABLES[picture.along].label if picture.along in VARIABLES else picture.along
+    sign_text = f" x sign of {sign_label}" if sign_label else ""
     return f"{picture.quantity}, {picture.mechanical}: residual{sign_text}"
 
 

@@ -6,8 +6,8 @@ import pytest
 
 from leactl.gap.diagnosis import Cause, DiagnosisResult, Shrinkage
 from leactl.report.gap_text import render
-from leactl.report.gap_words import rest_text
-from tests.report.answers import answer, rest
+from leactl.report.gap_words import residual_text, rest_text
+from tests.report.answers import answer, picture, rest
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
@@ -117,6 +117,18 @@ def test_what_repeats_in_time_is_told_with_how_often():
     assert "it repeats in time, 1.697 times a second, whatever the state is; a free function" in alone
     beside = rest_text(rest(depends_on=("angle", "time"), repeats_Hz=1.6967, closable=0.4))
     assert "on held-out runs; what that leaves repeats in time, 1.697 times a second" in beside
+
+
+@pytest.mark.parametrize(
+    ("along", "sign"),
+    [
+        (None, ""),
+        ("velocity", " x sign of velocity"),
+        ("rate of change of the angle", " x sign of rate of change of the angle"),
+    ],
+)
+def test_a_residual_names_what_its_sign_is_from(along, sign):
+    assert residual_text(picture(along=along)) == f"torque, locked: residual{sign}"
 
 
 def test_five_regions_at_most():
