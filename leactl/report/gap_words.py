@@ -120,7 +120,9 @@ def closed_by_calibration(channels: Sequence[Shrinkage]) -> list[Shrinkage]:
     closed_channels = [
         channel
         for channel in channels
-        if not open_gap(channel) and channel.nominal_rms >= LEAST_GAP_FLOORS * channel.floor_rms
+        if not open_gap(channel)
+        and channel.nominal_rms > 0.0
+        and channel.nominal_rms >= LEAST_GAP_FLOORS * channel.floor_rms
     ]
     return sorted(closed_channels, key=lambda channel: -channel.nominal_rms / max(channel.floor_rms, 1e-300))
 

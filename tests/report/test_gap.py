@@ -6,7 +6,7 @@ import pytest
 
 from leactl.gap.diagnosis import Cause, DiagnosisResult, Shrinkage
 from leactl.report.gap_text import render
-from leactl.report.gap_words import residual_text, rest_text
+from leactl.report.gap_words import closed_count_text, residual_text, rest_text
 from tests.report.answers import answer, picture, rest
 
 
@@ -129,6 +129,11 @@ def test_what_repeats_in_time_is_told_with_how_often():
 )
 def test_a_residual_names_what_its_sign_is_from(along, sign):
     assert residual_text(picture(along=along)) == f"torque, locked: residual{sign}"
+
+
+def test_a_channel_that_never_had_a_gap_is_not_closed_by_calibration():
+    still = Shrinkage("velocity", "test", "free", "rad/s", 0.0, 0.0, 0.0, 0.0)
+    assert closed_count_text([still]) == "1 of 1 channels are within 1.1 times their floor"
 
 
 def test_five_regions_at_most():
