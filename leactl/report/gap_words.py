@@ -140,7 +140,7 @@ def closed_count_text(channels: Sequence[Shrinkage]) -> str:
     floor_count = sum(not open_gap(channel) for channel in channels)
     calibrated_count = len(closed_by_calibration(channels))
     suffix = f", {calibrated_count} of them by calibration" if calibrated_count else ""
-    return f"{floor_count} of {len(channels)} channels are within 1.1 times their floor{suffix}"
+    return f"{floor_count} of {len(channels)} channels are within {LEAST_GAP_FLOORS:g} times their floor{suffix}"
 
 
 def three_digits(value: float) -> str:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from leactl.gap.diagnosis import Cause, DiagnosisResult, Shrinkage
+from leactl.report import gap_words
 from leactl.report.gap_text import render
 from leactl.report.gap_words import closed_count_text, residual_text, rest_text
 from tests.report.answers import answer, picture, rest
@@ -134,6 +135,11 @@ def test_a_residual_names_what_its_sign_is_from(along, sign):
 def test_a_channel_that_never_had_a_gap_is_not_closed_by_calibration():
     still = Shrinkage("velocity", "test", "free", "rad/s", 0.0, 0.0, 0.0, 0.0)
     assert closed_count_text([still]) == "1 of 1 channels are within 1.1 times their floor"
+
+
+def test_the_multiple_of_the_floor_that_is_printed_is_the_one_that_decides(monkeypatch):
+    monkeypatch.setattr(gap_words, "LEAST_GAP_FLOORS", 1.25)
+    assert closed_count_text([]) == "0 of 0 channels are within 1.25 times their floor"
 
 
 def test_five_regions_at_most():
