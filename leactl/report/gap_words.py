@@ -144,13 +144,14 @@ def closed_count_text(channels: Sequence[Shrinkage]) -> str:
 
 
 def three_digits(value: float) -> str:
-    """Return a value with three significant digits."""
+    """Return a value with three significant digits, a number from 1000 to 100 000 with all digits before the point."""
     if not math.isfinite(value):
         return "not known"
     if value == 0.0:
         return "0"
     if 1e-4 <= abs(value) < 1e5:
-        return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
+        exponent = math.floor(math.log10(float(f"{abs(value):.2e}")))  # of the rounded number
+        return f"{value:.{max(0, 2 - exponent)}f}"
     return f"{value:.2e}"
 
 

@@ -253,7 +253,18 @@ def test_every_text_is_escaped(words_):
 
 @pytest.mark.parametrize(
     ("value", "shown"),
-    [(0.0, "0"), (0.0216, "0.0216"), (999.6, "1000"), (-14.0, "-14.0"), (1.5e-7, "1.50e-07"), (np.nan, "not known")],
+    [
+        (0.0, "0"),
+        (0.0216, "0.0216"),
+        (0.09997, "0.100"),
+        (9.994, "9.99"),
+        (-9.996, "-10.0"),
+        (999.6, "1000"),
+        (12345.6, "12346"),
+        (-14.0, "-14.0"),
+        (1.5e-7, "1.50e-07"),
+        (np.nan, "not known"),
+    ],
 )
 def test_figures_have_three_digits(value, shown):
     assert three_digits(value) == shown
