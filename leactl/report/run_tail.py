@@ -17,18 +17,18 @@ class Precision(NamedTuple):
 
 FULL_PRECISION: Final = Precision(decimals=6, digits=6, time_width=12, least_width=14)
 NARROW_PRECISION: Final = Precision(decimals=3, digits=4, time_width=9, least_width=11)
-LEAST_COLUMNS_FOR_FULL = 40  # of a terminal; in a narrower one, rows have fewer digits
+LEAST_WIDTH_FOR_FULL = 40  # characters of a terminal; in a narrower one, rows have fewer digits
 TIME_HEADING = "time s"
 
 
 class RowPrinter:
     """A formatter of rows of several streams; a heading comes before the first row and at each change of stream."""
 
-    def __init__(self, columns: int | None) -> None:
+    def __init__(self, terminal_width: int | None) -> None:
         """Set the width of the terminal in characters, or None for lines of any length."""
-        self._columns, self._stream = columns, ""
+        self._terminal_width, self._stream = terminal_width, ""
         self._precision = (
-            NARROW_PRECISION if columns is not None and columns < LEAST_COLUMNS_FOR_FULL else FULL_PRECISION
+            NARROW_PRECISION if terminal_width is not None and terminal_width < LEAST_WIDTH_FOR_FULL else FULL_PRECISION
         )
         self.left_out: dict[str, tuple[str, ...]] = {}  # by stream: channels that do not fit into the terminal
 
@@ -45,7 +45,7 @@ class RowPrinter:
         self.left_out[rows.stream] = rows.names[len(widths) :]
         if rows.stream != self._stream:
             self._stream = rows.stream
-            yield f"# {rows.stream}"[: self._columns]
+            yield f"# {rows.stream}"[: self._terminal_width]
             cells = [f" {heading[: width - 1]:>{width - 1}}" for heading, width in zip(headings, widths, strict=False)]
             yield f"#{TIME_HEADING:>{time_width - 1}}" + "".join(cells)
         for time, values in zip(rows.time.tolist(), rows.values.tolist(), strict=True):
@@ -55,8 +55,8 @@ class RowPrinter:
     def _shown_widths(self, headings: list[str]) -> list[int]:
         """Return the widths of the columns that fit into the terminal; the first column is always among them."""
         widths = [max(len(heading) + 2, self._precision.least_width) for heading in headings]
-        if self._columns is None:
+        if self._terminal_width is None:
             return widths
-        free_width = self._columns - self._precision.time_width
+        free_width = self._terminal_width - self._precision.time_width
         fitting_counts = [count for count in range(1, len(widths) + 1) if sum(widths[:count]) <= free_width]
         return widths[: max(fitting_counts)] if fitting_counts else [max(free_width, self._precision.least_width)]
