@@ -1,4 +1,7 @@
-"""Requirements on every device that measures at its own rate, or whose readings come in files."""
+"""Requirements on every device that measures at its own rate, or whose readings come in files.
+
+A trial states its requirement in its docstring, and raises `Broken` if the device does not meet it.
+"""
 
 from collections.abc import Sequence
 
@@ -14,9 +17,10 @@ from leactl.errors import DeviceError
 from leactl.quantities import FLAGS
 
 MOST_DELAY_S = 0.1  # from the stamp of a row to the time at which it is read
+STAMP_ROUNDING_S = 1e-9  # by which a stamp may lie after the time at which its row is read
 VALUE_TOLERANCE = 0.01  # largest error of a reading, as a share of the largest true value
-# largest error beside that, in the channel's unit: for rounding where every true value is 0, as of a flag that is off;
-# 0.2 % of the smallest value of `BASES`
+# largest error in addition to VALUE_TOLERANCE, in the channel's unit: for rounding where every true value is 0, as of a
+# flag that is off; 0.2 % of the smallest value of `BASES`
 ABSOLUTE_TOLERANCE = 1e-3
 LEAST_MEASURED_S = 5.0  # for a rise by RISE, so that a quantity changes by less than VALUE_TOLERANCE in MOST_DELAY_S
 LEAST_SAMPLES = 10  # of the slowest channel
@@ -92,7 +96,7 @@ def measures_true_values(stand: Stand) -> None:
     samples, row_times = take_samples(stand, seconds, poll_s)
     reading_delays = [read_at - stamp for stamp, read_at in row_times] or [0.0]
     shortest, longest = min(reading_delays), max(reading_delays)
-    if shortest < -1e-9 or longest > MOST_DELAY_S + seconds / max(len(row_times), 1):
+    if shortest < -STAMP_ROUNDING_S or longest > MOST_DELAY_S + seconds / max(len(row_times), 1):
         raise Broken(f"stamps lie {shortest:.3g} to {longest:.3g} s before the moment at which a sample is taken")
     channels = {channel.name: channel for spec in stand.driver.streams for channel in spec.channels}
     for name, channel in channels.items():
@@ -103,15 +107,15 @@ def measures_true_values(stand: Stand) -> None:
         if len(times) < 2:
             raise Broken(f"{name}: {len(times)} samples in {seconds:g} s, although two came {interval:g} s apart")
         if channel.quantity in FLAGS:
-            constant = is_flag_constant(stand, channel.quantity, times)
+            constant = constant_flag_mask(stand, channel.quantity, times)
             times, values = times[constant], values[constant]
             if not len(times):
                 raise Broken(f"{name}: all samples come less than {MOST_DELAY_S:g} s before the flag switches")
         expect_true_values(name, values, np.asarray(stand.bench.true_value(channel.quantity, times), np.float64))
 
 
-def is_flag_constant(stand: Stand, quantity: str, times: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return whether a flag is constant for `MOST_DELAY_S` after each time [s], shape (samples,).
+def constant_flag_mask(stand: Stand, quantity: str, times: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return the mask of the times [s] after which a flag is constant for `MOST_DELAY_S`, shape (samples,).
 
     An instrument may read the flag that much later.
     """

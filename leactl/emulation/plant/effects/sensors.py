@@ -68,6 +68,7 @@ class PlantVelocityFilterLag(PlantEffect):
         Parameters
         ----------
         lanes : number of plants that are simulated at once.
+        step_s : time between two calls [s].
         """
         return Lag(self.time_constant, lanes, step_s)
 
