@@ -24,9 +24,16 @@ MAX_FAULTS = 20  # faults that are reported; a file in the wrong unit has one in
 def read(path: Path, column: str | None, spelling: Spelling) -> tuple["Array", "Array"]:
     """Return times (n,) from zero [s], and setpoints (n,).
 
+    Parameters
+    ----------
+    column : name of the setpoint column; None for `spelling.setpoint`.
+    spelling : name and unit suffix of the setpoint.
+
     Raises
     ------
-    InputError : the file is absent or too large, lacks a column, or has rows without finite, increasing numbers.
+    InputError : the column's name does not end in the unit; the file is absent or too large, lacks a column, has fewer
+        than two rows or more than `MAX_SAMPLES`, lasts longer than `MAX_DURATION_S`, or has a number that is not
+        finite, too large, or not after the last time.
     """
     from leactl.tables.columns import Columns, CsvForm
 
