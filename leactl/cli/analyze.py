@@ -63,7 +63,7 @@ def analyze(
     files = [file for path in runs for file in (run_files([path]) if path in folders else [path])]
     with workers_of(processes, scheduler) as workers:
         results, faults = analyze_each(files, experiment_name, workers, channel=channel or None, **options)
-    # a file that a person named must be readable; a folder's faulty runs are reported beside its results
+    # with a folder among the arguments, faults are reported beside the results; else nothing is printed
     if faults and not (results and folders):
         raise InputError(faults)
     if as_json and len(results) == 1 and not faults:
