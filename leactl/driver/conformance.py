@@ -50,7 +50,7 @@ def faults_of(driver_class: type[Driver]) -> list[str]:
         faults.append("Settings must be frozen and forbid unknown keys")
     for name, field in driver_class.Settings.model_fields.items():
         # floats only: most whole numbers are counts; a whole number of ms without a suffix is not noticed
-        if _is_number(field.annotation) and not name.endswith(UNIT_SUFFIXES):
+        if _holds_float(field.annotation) and not name.endswith(UNIT_SUFFIXES):
             faults.append(f"setting {name} is a number whose name carries no unit")
     if inspect.isabstract(driver_class):
         faults.append(f"does not implement {', '.join(sorted(driver_class.__abstractmethods__))}")
@@ -67,8 +67,8 @@ def faults_of(driver_class: type[Driver]) -> list[str]:
     return faults
 
 
-def _is_number(annotation: Any) -> bool:
+def _holds_float(annotation: Any) -> bool:
     """Return whether a setting holds a float: alone, in a union, in `Annotated`, or as items of a list or tuple."""
     if get_origin(annotation) in (Union, UnionType, Annotated, list, tuple):
-        return any(_is_number(part) for part in get_args(annotation))
+        return any(_holds_float(part) for part in get_args(annotation))
     return annotation is float
