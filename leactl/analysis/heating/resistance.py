@@ -55,10 +55,9 @@ def resistance_line(fit: NetworkFit, error_prefix: str) -> ResistanceLine:
     )
     if len(time) < FEWEST_BINS or np.ptp(neighbour_temperature) <= 0.0:
         widest_bin = max(bin_width_of(record) for record in fit.records)
-        least_on = SETTLING_S + (FEWEST_BINS + 2) * widest_bin + SWITCHING_S  # a bin needs one before and one after
         raise NotIdentifiable(
             f"{error_prefix}: the current was on, and the active windings seen, for too short a time to tell their"
-            f" resistance; about {least_on:.0f} s are needed"
+            f" resistance; about {shortest_on_time(widest_bin):.0f} s are needed"
         )
     design = np.column_stack([np.ones(len(time)), temperature - REFERENCE_TEMPERATURE])
     instruments = np.column_stack([np.ones(len(time)), neighbour_temperature - REFERENCE_TEMPERATURE])
@@ -91,6 +90,11 @@ def resistance_line(fit: NetworkFit, error_prefix: str) -> ResistanceLine:
         temperature,
         resistance,
     )
+
+
+def shortest_on_time(bin_width: float) -> float:
+    """Return how long the current has to be on [s] for enough bins of this width [s], each between two others."""
+    return SETTLING_S + (FEWEST_BINS + 2) * bin_width + SWITCHING_S
 
 
 def bin_width_of(record: HeatingRecord) -> float:

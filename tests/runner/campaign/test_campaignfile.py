@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from leactl.analysis.heating.resistance import LEAST_ON_S
+from leactl.analysis.heating.resistance import SHORTEST_BIN_S, shortest_on_time
 from leactl.errors import InputError
 from leactl.protocol.protocolfile import locate as protocol
 from leactl.protocol.shipped import names as protocols
@@ -214,4 +214,4 @@ def test_a_shipped_campaign_is_whole_and_every_run_of_it_may_be_made(name, tmp_p
 @pytest.mark.parametrize("variant", ["", "short"])
 def test_the_heated_record_of_the_paper_is_long_enough_to_tell_the_resistance(variant):
     told = dict(setting.split("=") for setting in load("paper", variant).steps["thermal"].settings)
-    assert float(told.get("heating_s", "inf")) > 1.2 * LEAST_ON_S
+    assert float(told.get("heating_s", "inf")) > 1.2 * shortest_on_time(SHORTEST_BIN_S)
