@@ -37,7 +37,7 @@ def of_one(member, *rivals, missed=None):
     """A set of one member, all of whose gap is explained, beside its rivals."""
     rivals_too = [[member, *rivals]]
     return SimpleNamespace(
-        members=[member], rivals=rivals_too, explained=lambda evidence, index: 1.0, missed=missed or {}
+        members=[member], rivals=rivals_too, explained=lambda evidence, index: 1.0, squares_missed=missed or {}
     )
 
 
@@ -154,7 +154,7 @@ def test_a_slow_rest_is_one_of_time_and_noise_or_no_gap_is_none():
 
 
 def test_squares_beyond_the_noise_of_a_row_are_the_gap():
-    rows = SimpleNamespace(left_over=np.zeros(100), white=0.5)
+    rows = SimpleNamespace(left_over=np.zeros(100), white_noise=0.5)
     stack = SimpleNamespace(rows=[rows, None, rows])
     assert squares_beyond_noise(stack, [0, 2], stretched(np.full(240, 1.0))) == pytest.approx(240.0 - 50.0)
     assert squares_beyond_noise(stack, [0, 2], stretched(np.full(240, 0.01))) == 0.0
@@ -192,11 +192,11 @@ def test_the_nearest_effects_are_those_refused_then_doubted_then_not_entered_eac
     doubted = Judged(finding("cogging", 2.0), 1.0, 0.1, (), ())
     named = Judged(finding("stribeck", 20.0), 1.0, 0.99, (), ())
     rest = [finding("presliding", 1.5), finding("backlash", 2.5), finding("cogging", 9.0), finding("bus_sag", 0.5)]
-    told = nearest_effects(SimpleNamespace(rest=rest), [named, doubted], [Near("torque_ripple", "it grew")])
+    told = nearest_effects(SimpleNamespace(further_effects=rest), [named, doubted], [Near("torque_ripple", "it grew")])
     assert [one.effect for one in told] == ["torque_ripple", "cogging", "backlash", "presliding"]
     assert told[0].refused_because == "it grew"
     assert told[1].refused_because.startswith("its size is 2 times")
     assert told[2].refused_because == reason_kept_out(rest[1])
     few = Judged(finding("cogging", 20.0), 0.3, 0.1, (), ())
-    [only] = nearest_effects(SimpleNamespace(rest=[]), [few], [])
+    [only] = nearest_effects(SimpleNamespace(further_effects=[]), [few], [])
     assert only.refused_because.startswith("the set explains 30 % of the gap where it acts")

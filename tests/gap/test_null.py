@@ -117,7 +117,7 @@ def test_a_form_that_no_run_shows_has_the_floor_of_the_next_that_is_shown(case, 
     hidden = [form[0] < np.median([form[0] for form in forms]) for form in forms]
     floors = [0.0 if hides else 0.1 + 0.01 * place for place, hides in enumerate(hidden)]
     errors = [math.inf if hides else 0.01 for hides in hidden]
-    set_floors(evidence, replace(null, floors={name: floors}, alike={}, errors={name: errors}))
+    set_floors(evidence, replace(null, floors={name: floors}, common_sizes={}, errors={name: errors}))
     assert all(evidence.floor((name, form)) >= 0.1 for form in forms)
     assert [evidence.floor((name, form)) for form, hides in zip(forms, hidden, strict=True) if not hides] == [
         floor for floor in floors if floor
@@ -139,7 +139,7 @@ def test_what_an_equation_leaves_does_not_shrink_with_its_noise(case, null):
 
 def test_what_no_sound_machine_tells_is_not_judged(case, null):
     evidence = Evidence(case.fitted, case.model, only=[])
-    evidence.compare_with(replace(null, unrest={}, left={}))
+    evidence.compare_with(replace(null, unrest={}, residual_variances={}))
     assert not any(evidence.is_judged(rows) for rows in evidence.stack.rows)
 
 
@@ -173,7 +173,7 @@ def test_what_fits_to_sound_machines_are_off_by_alike_is_taken_away(case, null, 
     found = {}
     for bias in (0.0, -0.2):
         evidence = Evidence(case.fitted, case.model, only=[])
-        evidence.compare_with(replace(null, moved={parameter: (bias, 0.003)}))
+        evidence.compare_with(replace(null, parameter_changes={parameter: (bias, 0.003)}))
         (found[bias],) = (p for p in calibrated_parameters(evidence, evidence.settle([])) if p.parameter == parameter)
     factor = 1.2 if reciprocal else 1.0 / 0.8
     assert found[-0.2].fitted == pytest.approx(factor * found[0.0].fitted)
@@ -186,7 +186,7 @@ def test_what_runs_hardly_show_is_not_corrected_and_stands_in_its_standard_error
     parameters = {}
     for moved in (0.0, bias):
         evidence = Evidence(case.fitted, case.model, only=[])
-        evidence.compare_with(replace(null, moved={"rotor_inertia": (moved, 0.003)}))
+        evidence.compare_with(replace(null, parameter_changes={"rotor_inertia": (moved, 0.003)}))
         (parameters[moved],) = (
             p for p in calibrated_parameters(evidence, evidence.settle([])) if p.parameter == "rotor_inertia"
         )

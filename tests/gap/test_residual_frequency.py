@@ -47,7 +47,7 @@ def test_noise_of_any_colour_repeats_by_no_frequency_of_another_run(left_of):
         found = strongest_frequency([course(left_of, seed=3 * seed + k) for k in range(2)])
         other = course(left_of, seed=3 * seed + 2)
         explained = gains(other, found)
-        enough = explained.sum() > LEAST_SLOW_SHARE * np.sum(other.left**2)
+        enough = explained.sum() > LEAST_SLOW_SHARE * np.sum(other.residual**2)
         taken_for_one += enough and certainty(explained, other.stretch) >= LEAST_CERTAINTY
     assert taken_for_one == 0
 
@@ -61,4 +61,4 @@ def test_less_than_a_few_periods_is_a_slow_change_and_no_frequency():
 
 def test_a_run_of_one_stretch_is_not_judged_by_itself():
     whole = course(humming(2.0, 0.0))
-    assert not gains(ResidualCourse(whole.time, whole.left, np.zeros_like(whole.stretch)), 2.0).any()
+    assert not gains(ResidualCourse(whole.time, whole.residual, np.zeros_like(whole.stretch)), 2.0).any()
