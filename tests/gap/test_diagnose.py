@@ -153,6 +153,7 @@ def is_owned_up_to(folder, name=""):
         assert {shape.variable for shape in rest.shapes} == state
 
 
+@pytest.mark.long
 def test_what_rings_on_the_bench_is_told_with_its_frequency(benches):
     folder = keyed(benches, "unlisted")["hanging_resonator"]
     held_still = entries(benches)[folder.name]["parameters"]["hanging_resonator"]["frequency"]

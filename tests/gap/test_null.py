@@ -65,6 +65,7 @@ def test_a_case_without_an_effect_leaves_what_sound_machines_leave(case, null):
         assert value < LEFT * max(null.unrest[key], 1.0), key
 
 
+@pytest.mark.long
 def test_held_out_runs_are_weighed_by_what_sound_machines_leave_in_the_fitted_ones(case, null):
     evidence = Evidence(case.fitted, case.model, only=[])
     assert {evidence.expected_unrest(rows) for rows in evidence.stack.rows} == {1.0}

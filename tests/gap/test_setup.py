@@ -191,6 +191,7 @@ def test_the_page_has_the_numbers_of_the_code():
     )
 
 
+@pytest.mark.long
 def test_a_fault_is_not_named_where_an_effect_explains_the_runs_as_they_were_logged(tmp_path):
     seed, index = STRONG_SPRING
     machines = draw_machines(np.random.default_rng([seed, 0]), 10)

@@ -99,7 +99,10 @@ def test_a_file_that_grows_in_swmr_mode_is_read(tmp_path: Path):
     open_foreign(path).close()
 
 
-@pytest.mark.parametrize("fill", FILLS)
+@pytest.mark.parametrize(
+    "fill",
+    [pytest.param(fill, marks=[pytest.mark.long] if fill is members_that_came_and_went else []) for fill in FILLS],
+)
 @pytest.mark.parametrize("form", OLDEST, ids=str)
 def test_every_node_of_the_oldest_format_is_looked_at(tmp_path: Path, fill, form, monkeypatch):
     """Whichever node becomes its own neighbour, and so its neighbours' no more, the file is refused."""

@@ -61,6 +61,7 @@ def test_the_torque_constant_is_measured_with_current_and_angle_held_by_odrives(
         assert run.instruments["drive_test"]["model"] == "ODrive 5.2.0"
 
 
+@pytest.mark.long
 def test_a_velocity_and_an_angle_are_followed_one_after_the_other(spin, odrives):
     outcome, _made = spin(protocol("position-step"), bench=odrives, sets=("seed=4",))
     assert outcome.status == "complete", outcome.reason
