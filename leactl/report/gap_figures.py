@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from leactl.gap.diagnosis import LEAST_GAP_FLOORS, DiagnosisResult, Picture, Rest, Where
+from leactl.gap.diagnosis import DiagnosisResult, Picture, Rest, Where
 from leactl.gap.verdict.shrinkage import Trace
 from leactl.gap.verdict.where import Profile
 from leactl.report.chart import AxisRange, Bins, CaptionedChart, Layer, LineMarks, chart
@@ -13,6 +13,7 @@ from leactl.report.gap_words import (
     after_calibration,
     bare_units,
     channel_label,
+    is_gap,
     open_gap,
     picture_text,
     region_text,
@@ -50,7 +51,7 @@ def channel_cards(diagnosis: DiagnosisResult) -> list[Card]:
     )
     for channel in [*filter(open_gap, diagnosis.where), *closed_channels]:
         key = (channel.quantity, channel.role, channel.mechanical)
-        if key not in traces or max(channel.nominal_rms, channel.calibrated_rms) < LEAST_GAP_FLOORS * channel.floor_rms:
+        if key not in traces or not is_gap(max(channel.nominal_rms, channel.calibrated_rms), channel.floor_rms):
             continue
         figures = [trace_figure(traces[key])]
         if key in profiles and len(profiles[key].low):

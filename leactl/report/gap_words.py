@@ -103,9 +103,14 @@ def channel_label(channel: ChannelGap | SimulatorFloor, channels: Sequence[Chann
     return ", ".join(filter(None, [channel.quantity, channel.mechanical, channel.role if len(roles) > 1 else ""]))
 
 
+def is_gap(rms: float, floor_rms: float) -> bool:
+    """Return whether the RMS of an error counts as a gap beside its floor, in the same unit."""
+    return rms > 0.0 and rms >= LEAST_GAP_FLOORS * floor_rms
+
+
 def open_gap(channel: ChannelGap) -> bool:
     """Return whether the calibrated model leaves a gap in this channel."""
-    return channel.calibrated_rms > 0.0 and channel.calibrated_rms >= LEAST_GAP_FLOORS * channel.floor_rms
+    return is_gap(channel.calibrated_rms, channel.floor_rms)
 
 
 def largest_first(channels: Sequence[Shrinkage]) -> list[Shrinkage]:
@@ -118,11 +123,7 @@ def largest_first(channels: Sequence[Shrinkage]) -> list[Shrinkage]:
 def closed_by_calibration(channels: Sequence[Shrinkage]) -> list[Shrinkage]:
     """Return the channels whose gap calibration closes, the largest first."""
     closed_channels = [
-        channel
-        for channel in channels
-        if not open_gap(channel)
-        and channel.nominal_rms > 0.0
-        and channel.nominal_rms >= LEAST_GAP_FLOORS * channel.floor_rms
+        channel for channel in channels if not open_gap(channel) and is_gap(channel.nominal_rms, channel.floor_rms)
     ]
     return sorted(closed_channels, key=lambda channel: -channel.nominal_rms / max(channel.floor_rms, 1e-300))
 

@@ -44,13 +44,12 @@ def check_analysis(plan: Plan, file_name: str) -> None:
         message = f"the protocol names no analysis to judge them by; {known}; limits on channels need none"
         raise InputError(document.fault(("acceptance",), message))
     results = results_of(named_analysis or plan.name)
-    misfits = {number: _misfit(limit, named_analysis or plan.name, results) for number, limit in limits.items()}
-    faults = [
-        document.fault(("acceptance", number, key), message)
-        for number, misfit in misfits.items()
-        if misfit
-        for key, message in [misfit]
-    ]
+    misfits = {
+        number: misfit
+        for number, limit in limits.items()
+        if (misfit := _misfit(limit, named_analysis or plan.name, results)) is not None
+    }
+    faults = [document.fault(("acceptance", number, key), message) for number, (key, message) in misfits.items()]
     if faults:
         raise InputError(faults)
 

@@ -28,7 +28,8 @@ def draw_cases(folder, plans, seed):
     """Two cases of one drawn machine, whatever the library grows by."""
     made = ["gap", "blind", "make", "--machines", "1", "--cases", "2", "--kinds", "single", "--seed", str(seed)]
     with patch("leactl.joints.make.plan", lambda *_: plans):
-        CliRunner().invoke(app, [*made, "--out", str(folder / "cases"), "--key", str(folder / "key")])
+        result = CliRunner().invoke(app, [*made, "--out", str(folder / "cases"), "--key", str(folder / "key")])
+    assert result.exit_code == 0, result.output
 
 
 @pytest.fixture(scope="session")
