@@ -1,4 +1,4 @@
-"""Check, before a run, what ends the current of each supply if every process dies.
+"""Check, before a run, that no supply can overheat its winding if every process dies.
 
 Either the winding endures the levels for ever, or the protection of the instrument ends the current, or a person says
 that they attend the run; a plan without any of the three is refused.
@@ -39,8 +39,10 @@ class SupplyLeftOn:
     current: float  # A
     reached: float  # degC, of the hottest phase at the most, if the levels stay on for ever; infinite for a delta
     ended_by: EndedBy
-    trips_at: float | None = None  # V, trip level of its protection
-    endured_current: float = math.inf  # A, highest measured current that the winding endures for ever
+    # V, trip level of its over-voltage protection: at constant current the voltage rises as the winding warms
+    trips_at: float | None = None
+    # A, highest measured current to allow, where an unattended run relies on what the winding endures; else infinite
+    endured_current: float = math.inf
 
     @property
     def summary(self) -> str:
@@ -68,7 +70,9 @@ def supplies_left_on(plan: Plan, windings: Windings, bench: Bench) -> list[Suppl
     supplies = at_leads(bench.others, windings.motors)
     levels: dict[Levels, None] = {}  # a set that keeps the order of the plan
     for action in plan.actions:
-        for role, output in action.outputs.items() if isinstance(action, SetSupply) else ():
+        if not isinstance(action, SetSupply):
+            continue
+        for role, output in action.outputs.items():
             if output is not None and role in supplies:
                 levels[role, *output] = None
     return [_judge(windings, supplies[role], plan.attended, role, *output) for role, *output in levels]
@@ -91,25 +95,26 @@ def _judge(
     windings: Windings, supply: PowerSupply, attended: bool, role: str, voltage: float, current: float
 ) -> SupplyLeftOn:
     """Judge one pair of levels [V, A]: endured, ended by the supply's protection, attended, or none of these."""
-    # `motors`, not `fed`: `fed` has the tolerance of readings of the line current, and these levels are settings
+    # `windings.motors`, not `windings.fed`, which allows for errors of current readings: these levels are settings
     motor, settings = windings.motors[role], windings.settings
+    otherwise = EndedBy.ATTENDED if attended else EndedBy.NOTHING
     if motor.winding != "wye":  # heat and resistance of two leads are known for a wye alone
-        return SupplyLeftOn(role, voltage, current, math.inf, EndedBy.ATTENDED if attended else EndedBy.NOTHING)
+        return SupplyLeftOn(role, voltage, current, math.inf, otherwise)
     box = Box.of(motor)
     start: Sequence[float] = windings.recalled[role].nodes.tolist()
     hottest = temperature_reached(box, settings.ambient, voltage, current)
-    limits = _endurance(windings, role)
-    if limits.outlives(voltage, current, start):
-        endured_current = math.inf if attended else limits.highest_current(voltage)
+    endured = _endurance(windings, role)
+    if endured.outlives(voltage, current, start):
+        endured_current = math.inf if attended else endured.highest_current(voltage)
         return SupplyLeftOn(role, voltage, current, hottest, EndedBy.OUTLIVED, endured_current=endured_current)
-    if isinstance(supply, ProtectedSupply):
-        # K, of the hottest phase above the coolest, which is at least as warm as the coldest air
+    if isinstance(supply, ProtectedSupply):  # it is armed even if the run is attended
+        # K, of the hottest phase above the coolest: no phase is colder than the coldest air in the tolerances
         phase_difference = max(0.0, start[HOTTEST] - (settings.ambient - box.ambient_rise))
-        limit = settings.limit - MARGIN_K
-        level = trip_level(box, limit, phase_difference, voltage, current, supply.trip_accuracy)
+        safe_limit = settings.limit - MARGIN_K
+        level = trip_level(box, safe_limit, phase_difference, voltage, current, supply.trip_accuracy)
         if level is not None:
             return SupplyLeftOn(role, voltage, current, hottest, EndedBy.PROTECTION, level)
-    return SupplyLeftOn(role, voltage, current, hottest, EndedBy.ATTENDED if attended else EndedBy.NOTHING)
+    return SupplyLeftOn(role, voltage, current, hottest, otherwise)
 
 
 def _endurance(windings: Windings, role: str) -> Endurance:
@@ -125,22 +130,25 @@ def _refusal(plan: Plan, windings: Windings, item: SupplyLeftOn) -> str:
     if windings.motors[item.role].winding != "wye":
         return (
             f"{opening} the heating of a delta winding through two leads is not bounded here; a person has to stay"
-            f" by it: {attending}"
+            f" by the bench: {attending}"
         )
     levels = f"{item.voltage:g} V, {item.current:g} A"
-    others = f"or a supply whose own protection ends it in time, or a person who stays by it: {attending}"
-    limits, limit = _endurance(windings, item.role), windings.settings.limit
+    others = (
+        f"or a supply whose own protection ends the current in time, or a person who stays by the bench: {attending}"
+    )
+    endured, limit = _endurance(windings, item.role), windings.settings.limit
     start = windings.recalled[item.role].nodes.tolist()
-    if not limits.outlives(0.0, 0.0, start):
+    if not endured.outlives(0.0, 0.0, start):  # without current, only the temperatures at the start can be too high
+        is_rest_enough = endured.outlives(item.voltage, item.current, endured.start_ceilings)
         return (
             f"{opening} {levels} left on are not known to keep its winding below its limit of {limit:g} degC from where"
             f" it may begin, winding {start[HOTTEST]:.0f} and housing {start[HOUSING]:.0f} degC; what helps: a rest"
-            f" before the run, in which it cools, {others}"
+            f" before the run, in which it cools{'' if is_rest_enough else ', and lower levels'}, {others}"
         )
     # rounded down to what the coarsest supplies can be set to
-    volts, amperes = int(10.0 * limits.highest_voltage(item.current)) / 10.0, int(10.0 * limits.current) / 10.0
+    volts, amperes = int(10.0 * endured.highest_voltage(item.current)) / 10.0, int(10.0 * endured.current) / 10.0
     remedies = [f"current_A of {amperes:g} at the most"]
-    if limits.outlives(volts, item.current, limits.start_ceilings):
+    if endured.outlives(volts, item.current, start):
         remedies.insert(0, f"voltage_V of {volts:g} at the most, where the supply itself takes the current back")
     heat = f"to {item.reached:.0f} degC, above" if item.reached < BURNT_DEGC else "far above"
     return (

@@ -292,8 +292,8 @@ def test_a_current_that_nothing_would_end_is_refused_with_what_helps(heat):
     assert str(refused.value) == (
         "protocol 'heat': nothing switches off the supply of test if this machine fails, and 8 V, 9 A left on may bring"
         " its winding to 168 degC, above its limit of 130 degC; what helps: voltage_V of 5.7 at the most, where the"
-        " supply itself takes the current back, or current_A of 8 at the most, or a supply whose own protection ends it"
-        " in time, or a person who stays by it: `attended: true` in the protocol, or --attended"
+        " supply itself takes the current back, or current_A of 8 at the most, or a supply whose own protection ends"
+        " the current in time, or a person who stays by the bench: `attended: true` in the protocol, or --attended"
     )
 
 
@@ -342,9 +342,14 @@ def test_a_hot_housing_outlives_no_supply_and_a_rest_is_what_helps(tmp_path):
     assert str(refused.value) == (
         "protocol 'thermal': nothing switches off the supply of test if this machine fails, and 8 V, 2 A left on are"
         " not known to keep its winding below its limit of 130 degC from where it may begin, winding 120 and housing"
-        " 108 degC; what helps: a rest before the run, in which it cools, or a supply whose own protection ends it in"
-        " time, or a person who stays by it: `attended: true` in the protocol, or --attended"
+        " 108 degC; what helps: a rest before the run, in which it cools, or a supply whose own protection ends the"
+        " current in time, or a person who stays by the bench: `attended: true` in the protocol, or --attended"
     )
+    plan = protocolfile.load("thermal", {"current_A": "9"})
+    with pytest.raises(
+        InputError, match="what helps: a rest before the run, in which it cools, and lower levels, or a"
+    ):
+        endings(plan, windings, supplies_left_on(plan, windings, bench))
 
 
 def test_the_refusal_of_a_delta_winding_names_no_levels_that_are_refused_as_well(tmp_path):
@@ -357,8 +362,8 @@ def test_the_refusal_of_a_delta_winding_names_no_levels_that_are_refused_as_well
         endings(plan, windings, supplies_left_on(plan, windings, bench))
     assert str(refused.value) == (
         "protocol 'thermal': nothing switches off the supply of test if this machine fails, and the heating of a delta"
-        " winding through two leads is not bounded here; a person has to stay by it: `attended: true` in the protocol,"
-        " or --attended"
+        " winding through two leads is not bounded here; a person has to stay by the bench: `attended: true` in the"
+        " protocol, or --attended"
     )
 
 
