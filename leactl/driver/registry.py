@@ -65,11 +65,17 @@ def survey() -> list[RegisteredDriver]:
     return [find(name) for name in names()]
 
 
+@cache
+def _source_of(point: EntryPoint) -> str:
+    """Return the distribution that registers an entry point, cached: reading its metadata takes up to a millisecond."""
+    return f"{point.dist.name} {point.dist.version}" if point.dist else "unknown distribution"
+
+
 def _load(point: EntryPoint) -> RegisteredDriver:
     """Load the driver of an entry point, and return it or the reason why it could not be loaded."""
     from leactl.driver.contract import Driver
 
-    source = f"{point.dist.name} {point.dist.version}" if point.dist else "unknown distribution"
+    source = _source_of(point)
     try:
         driver = point.load()
     except Exception as error:  # noqa: BLE001 (a foreign plug-in may fail in any way; it must not end leactl)

@@ -194,6 +194,7 @@ def test_a_clock_that_is_late_is_found_or_told(heated):
     assert "camera_lag" not in {item.name for item in told.results}
 
 
+@pytest.mark.long
 def test_an_offset_of_the_camera_is_found_and_an_absurd_one_told(heated):
     result = analyze_runs([heated.run(offset=1.5, **SHORT)])
     assert result.find("camera_offset_winding").value == pytest.approx(1.5, abs=0.2)

@@ -46,12 +46,13 @@ def test_a_hold_without_direction_among_others_that_have_one_does_not_count(benc
     assert any("left out 10: no direction" in note for note in result.notes)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "faults",
     [
-        pytest.param({"scatter": 0.02}, marks=pytest.mark.long),
-        pytest.param({"curve": 0.02}, marks=pytest.mark.long),
-        pytest.param({"scatter": 0.02, "curve": 0.02}, marks=pytest.mark.long),
+        {"scatter": 0.02},
+        {"curve": 0.02},
+        {"scatter": 0.02, "curve": 0.02},
         {"current_error": 0.6},
     ],
     ids=str,

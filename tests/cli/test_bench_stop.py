@@ -72,7 +72,13 @@ def hold(processes):
     return begin
 
 
-@pytest.mark.parametrize("how", [[], ["emulated"], [str(benchfile.SHIPPED / "emulated.yaml")]])
+@pytest.mark.parametrize(
+    "how",
+    [
+        ["emulated"],
+        *(pytest.param(how, marks=pytest.mark.long) for how in ([], [str(benchfile.SHIPPED / "emulated.yaml")])),
+    ],
+)
 def test_a_stop_ends_the_run_in_order_and_tells_how(here, processes, how):
     run = start(*SPINNING)
     processes.append(run)
@@ -160,6 +166,7 @@ def test_an_end_that_is_not_confirmed_safe_is_status_5(hold, how, words):
     assert done.stderr == f"leactl: rig: NOT CONFIRMED SAFE, switch off the supply: {words}\n"
 
 
+@pytest.mark.long
 def test_a_run_that_hangs_is_status_5_after_the_wait(here, processes):
     run = start(*SPINNING)
     processes.append(run)

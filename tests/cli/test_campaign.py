@@ -169,7 +169,12 @@ def struck(number, moment, *arguments):
 )
 @pytest.mark.parametrize(
     ("command", "moment"),
-    [(CAMPAIGN, AS_IT_ENDS), (CAMPAIGN, AS_THE_FOLDER_IS_LET_GO), (RUN, AS_IT_ENDS), (RUN, AS_IT_IS_TOLD)],
+    [
+        (CAMPAIGN, AS_IT_ENDS),
+        pytest.param(CAMPAIGN, AS_THE_FOLDER_IS_LET_GO, marks=pytest.mark.long),
+        (RUN, AS_IT_ENDS),
+        (RUN, AS_IT_IS_TOLD),
+    ],
 )
 def test_a_signal_that_comes_when_all_is_made_takes_nothing_from_it(here, number, command, moment):
     done = struck(number, moment, *command, "--out", "out", "--json")
@@ -186,6 +191,7 @@ def test_a_signal_that_no_run_listens_to_yet_stops_the_next(here, command, momen
     assert not finished(here / "out")
 
 
+@pytest.mark.long
 def test_a_campaign_under_way_is_seen_and_its_folder_is_taken(here, begin):
     (here / "long.yaml").write_text(SMALL.replace("current_A: 0.5", "hold_s: 3600"))
     process = begin("campaign", "long.yaml", "--out", "out", "--realtime")
@@ -229,6 +235,7 @@ def test_a_prompt_is_asked_at_the_terminal(here):
     assert f"stopped by the operator: 'n' in answer to: Mount bench 'testbed-{os.getpid()}'" in told
 
 
+@pytest.mark.long
 def test_a_campaign_waits_for_windings_to_cool_and_holds_its_bench_meanwhile(here, begin):
     (here / "warm.yaml").write_text(ON_TESTBED.replace("current_A: 0.5", "current_A: 20, hold_s: 4"))
     process = begin("campaign", "warm.yaml", "--yes", "--out", "one")  # nothing is known of them: they count as hot
@@ -243,6 +250,7 @@ def test_a_campaign_waits_for_windings_to_cool_and_holds_its_bench_meanwhile(her
     assert process.returncode == 4
 
 
+@pytest.mark.long
 def test_a_winding_that_a_supply_may_still_heat_is_refused_at_once_for_no_rest_cools_it(here, begin):
     (here / "warm.yaml").write_text(ON_TESTBED.replace("current_A: 0.5", "current_A: 20, hold_s: 4"))
     file, devices, _document = load("testbed.yaml")

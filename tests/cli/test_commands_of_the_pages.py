@@ -53,6 +53,7 @@ ELSEWHERE = {
     "analyze heated.h5": ("tests/analysis/test_thermal.py", "thermal"),
 }
 HERE = ("campaign list", "campaign show", "campaign status")  # of those, what takes no time
+OF_SECONDS = ("analyze ", "bench check ", "bench read ", "report ", "runs verify ", "stats ", "thermal ")
 IN_PLACE_OF = {  # what the pages call what a reader has
     "runs/RUN.h5": "RUN.h5",
     "RUN": "RUN.h5",
@@ -142,10 +143,12 @@ def workshop(tmp_path_factory):
 
 
 def timed_lines():
-    """Each line that is run here, as a parameter; all reports but the first are long, since each takes seconds."""
-    reports = [line for line in TIMED if line.startswith("report ")]
+    """Each line that is run here, as a parameter; of commands that take seconds, all lines but the first are long."""
+    seen = set()
     for line in TIMED:
-        yield pytest.param(line, id=LINES[line], marks=[pytest.mark.long] if line in reports[1:] else [])
+        slow = next((head for head in OF_SECONDS if line.startswith(head)), None)
+        yield pytest.param(line, id=LINES[line], marks=[pytest.mark.long] if slow in seen else [])
+        seen |= {slow} - {None}
 
 
 @pytest.mark.parametrize("line", list(timed_lines()))

@@ -195,6 +195,7 @@ def test_the_page_is_written_whole(diagnosed):
         assert cause["effect"] in text
 
 
+@pytest.mark.long
 def test_an_effect_that_the_model_has_already_is_kept(case, tmp_path):
     has = {"effect": "third_thermal_node", "parameters": {"capacitance": 100.0, "resistance": 2.0}}
     document = yaml.safe_load((case.folder / "nominal.yaml").read_text()) | {"effects": [has]}

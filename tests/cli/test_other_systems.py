@@ -100,6 +100,7 @@ def test_what_is_offline_works(folder, run, command):
     assert said.returncode == 0 or command.startswith("doctor"), said.stderr
 
 
+@pytest.mark.long
 def test_a_run_is_reported_and_indexed(folder, run):
     said = leactl(folder, "report", run, "--html", "sheet.html")
     assert said.returncode == 0, said.stderr
@@ -127,6 +128,7 @@ def model(folder):
     return "nominal.yaml"
 
 
+@pytest.mark.long
 def test_a_gap_is_diagnosed(folder, model):
     few = ("--set", "trials=1", "--set", "levels_A=[4.9, 9.8]", "--set", "rest_s=3")
     for name in ("fit", "held"):
@@ -139,6 +141,7 @@ def test_a_gap_is_diagnosed(folder, model):
     assert (folder / "gap.html").is_file()
 
 
+@pytest.mark.long
 def test_python_makes_opens_analyses_and_replays_a_run(folder, model):
     (folder / "use.py").write_text(USE, encoding="utf-8")
     said = python(folder, "use.py", model)

@@ -157,7 +157,10 @@ def test_a_run_that_does_not_answer_has_not_met_its_limit(here):
     assert len(done.stderr.splitlines()) == 1
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT])
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGINT, *(pytest.param(number, marks=pytest.mark.long) for number in (signal.SIGTERM, signal.SIGQUIT))],
+)
 def test_a_signal_stops_in_order_and_a_second_one_changes_nothing(here, number):
     process = start("run", "spin.yaml", "--set", "hold_s=60", "--realtime", "--json")
     path = live_run(here, process)

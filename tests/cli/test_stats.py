@@ -220,6 +220,7 @@ def torques(bench):
     return [bench.torque(kt=kt, condition=label, scatter=0.01) for label, kt in conditions for _ in range(3)]
 
 
+@pytest.mark.long
 def test_runs_of_several_experiments_are_compared_each_by_itself(bench, tmp_path):
     frictions = runs(bench)
     torques(bench)

@@ -94,9 +94,9 @@ def terminal(tmp_path, monkeypatch):
     ("keys", "cause"),
     [
         (b" ", "stopped by the operator: key space"),
-        (b"q", "stopped by the operator: key q"),
         (b"\x03", "stopped by SIGINT"),
-        (b"\x1c", "stopped by SIGQUIT"),
+        pytest.param(b"q", "stopped by the operator: key q", marks=pytest.mark.long),
+        pytest.param(b"\x1c", "stopped by SIGQUIT", marks=pytest.mark.long),
     ],
 )
 def test_a_key_stops_the_run_and_the_terminal_is_given_back(terminal, keys, cause):
@@ -109,7 +109,7 @@ def test_a_key_stops_the_run_and_the_terminal_is_given_back(terminal, keys, caus
     assert termios.tcgetattr(at.place) == at.before
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGTERM, marks=pytest.mark.long), signal.SIGHUP])
 def test_a_signal_gives_the_terminal_back(terminal, number):
     if signal.getsignal(number) is signal.SIG_IGN:
         pytest.skip(f"{number.name} is ignored here, as under nohup, and so in every process that is started")

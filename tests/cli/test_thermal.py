@@ -134,6 +134,7 @@ def test_a_real_bench_of_which_nothing_is_known_is_refused_and_begins_when_it_is
     assert begun.returncode == 5, begun.stderr  # the bus is not there
 
 
+@pytest.mark.long
 def test_commissioning_says_what_the_first_heat_would_be_and_moves_nothing(here):
     asked = ("thermal", "commission", "--set", "current_A=9", "--actuator", "LEA-1", "--attended", "--dry-run")
     done = leactl(*asked, COLUMNS="80")

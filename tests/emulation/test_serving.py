@@ -22,7 +22,11 @@ from tests.cli.terminal import COMMAND
 from tests.driver.transports import CAN, I2C, can_place, i2c_place
 from tests.runner.conftest import SPIN
 
-PLACES = [place for place in ("udp_multicast", "pty", "kernel") if place == "pty" or (place in CAN)]
+PLACES = [
+    pytest.param(place, marks=[pytest.mark.long] if place == "udp_multicast" else [])
+    for place in ("udp_multicast", "pty", "kernel")
+    if place == "pty" or place in CAN
+]
 
 
 @pytest.fixture
@@ -93,7 +97,7 @@ def test_a_run_over_a_real_bus_moves_the_served_bench(here, served):
     assert (server.returncode, err) == (0, "")
 
 
-@pytest.mark.parametrize("place", [place for place in PLACES if place != "kernel"], indirect=True)
+@pytest.mark.parametrize("place", [place for place in PLACES if place.values != ("kernel",)], indirect=True)
 def test_a_server_that_dies_fails_the_run_and_nothing_is_called_safe(here, served):
     server, options = served
     run = start("run", "spin.yaml", *options, "--set", "hold_s=60", "--json")

@@ -153,6 +153,7 @@ SELDOM = {  # long: they end as another does
     "held-out runs of another machine",
     "12 bits",
     "10 Hz",
+    "a fitted run of another machine",
 }
 
 

@@ -51,6 +51,7 @@ def sets_of(folder):
     return checking.Cases(folder / "cases", folder / "key", folder / "cases-answers")
 
 
+@pytest.mark.long
 def test_both_cases_are_named_and_their_gap_is_closed(scored):
     assert scored.exit_code == 0, scored.output
     found = json.loads(scored.stdout)
@@ -168,6 +169,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.long
 def test_a_stop_keeps_what_is_done_and_ends_soon(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(STOPPED)

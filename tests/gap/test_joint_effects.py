@@ -77,6 +77,7 @@ SELDOM = {  # cases of long tests
     "share of gear_backlash",
     "coarser with gear_backlash",
     "coarse with presliding",
+    "coarser with presliding",
     "pushed 32",
     "pushed 42",
 }

@@ -40,6 +40,7 @@ def test_only_the_nearest_effect_is_named(law, nearest):
     assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == [nearest]
 
 
+@pytest.mark.long
 def test_two_effects_of_one_equation_are_both_named():
     random = np.random.default_rng([77, 1])
     joint = drawn_joint(random)

@@ -58,7 +58,9 @@ def test_a_loud_run_of_few_segments_makes_no_line_among_many_quiet_ones(seed):
     assert highest_line(quiet + loud)[1] < EVEN_LINE_HEIGHT
 
 
-@pytest.mark.parametrize("loudness", [0.0, 8.0, 30.0])
+@pytest.mark.parametrize(
+    "loudness", [pytest.param(0.0, marks=pytest.mark.long), 8.0, pytest.param(30.0, marks=pytest.mark.long)]
+)
 @given(seed=st.integers(0, 2**32 - 1), at=st.floats(6.0, 26.0))
 def test_a_tone_of_many_quiet_segments_stays_a_line_beside_a_loud_run(loudness, seed, at):
     draw = np.random.default_rng(seed)

@@ -150,6 +150,7 @@ def test_a_servo_that_logs_its_current_is_balanced_as_any_axis(tmp_path):
     assert not any("straight down" in note for note in found.notes)
 
 
+@pytest.mark.long
 def test_a_servo_that_lacks_nothing_but_its_parameters_has_no_cause(tmp_path):
     assert standing(*bench(tmp_path), proposed=[("position_dependent_friction", (3.0,))]) == {}
 

@@ -69,6 +69,7 @@ def test_a_limited_servo_is_told_from_a_weak_motor_by_position_and_goal_alone():
     assert found["reference_rate_limit"]["speed"][0] == pytest.approx(servo.speed, rel=0.05)
 
 
+@pytest.mark.long
 def test_a_dead_band_is_found_with_its_width():
     servo, random = drawn(5, "BAND", seconds=8.0, free=False)
     found = standing(servos.case(servo, random, kinds=("steps", "sines")))

@@ -84,7 +84,9 @@ def test_a_drive_of_a_limited_rate_is_no_sign_of_setpoints_between_rows(seed):
 
 
 @pytest.mark.parametrize("times_thinned", [0, 1, 2])
-@pytest.mark.parametrize(("seed", "rows"), [(2, 1), (7, 1), (2, 16), (3, 16)])
+@pytest.mark.parametrize(
+    ("seed", "rows"), [(2, 1), (2, 16), *(pytest.param(*drawn, marks=pytest.mark.long) for drawn in ((7, 1), (3, 16)))]
+)
 def test_rows_hold_their_setpoint_where_one_swift_rate_meets_every_leap(seed, rows, times_thinned):
     limited = limited_joint(seed, rows)
     for _ in range(times_thinned):
@@ -101,7 +103,8 @@ def test_a_drive_of_a_limited_rate_is_named():
     assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["command_slew_limit"]
 
 
-@pytest.mark.parametrize("seed", [2, pytest.param(7, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [2, 7])
 def test_a_limit_whose_ramps_end_within_their_rows_is_named(seed):
     found = diagnose(limited_joint(seed, 1))
     assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["command_slew_limit"]

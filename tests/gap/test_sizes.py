@@ -77,6 +77,7 @@ def test_a_loop_without_a_bandwidth_counts_as_slow_as_a_sample():
     assert "housing" not in here
 
 
+@pytest.mark.long
 def test_a_form_that_runs_hardly_show_has_a_higher_floor_than_one_that_they_show_well():
     """Drags that fade within a hundredth of the speed, where next to no sample lies, and within a tenth."""
     random = np.random.default_rng(22)

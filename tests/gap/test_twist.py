@@ -43,6 +43,7 @@ def test_a_nominal_inertia_that_is_off_is_no_other_shaft(case):
     assert wrong[STIFFNESS].fitted == pytest.approx(right[STIFFNESS].fitted, rel=0.01)
 
 
+@pytest.mark.long
 def test_what_is_told_of_a_bench_lies_within_its_errors(case, sound_cases):
     """Also where simulated sound machines correct the fit: they must err as the bench does."""
     evidence = Evidence(case.fitted, case.model)

@@ -68,7 +68,9 @@ def fast_rotors(tmp_path_factory):
     return lambda effect: (case_of(folder / effect), cases[effect][1][0])
 
 
-@pytest.mark.parametrize("effect", WAVES)
+@pytest.mark.parametrize(
+    "effect", [pytest.param(effect, marks=[pytest.mark.long] if effect == "cogging" else []) for effect in WAVES]
+)
 def test_on_a_rotor_that_turns_fast_for_its_samples_a_wave_is_named_alone_and_with_its_size(fast_rotors, effect):
     case, run = fast_rotors(effect)
     found = diagnose(case)

@@ -357,9 +357,8 @@ def of_an_ellipse(stall, no_load, speed):
 @pytest.mark.parametrize(
     ("seed", "stall_share", "speed_share"),
     [
-        (41, 1.5, 1.1),
         pytest.param(57, 8.0, 0.8, marks=pytest.mark.long),  # its ridge lies between the points of any grid
-        *(pytest.param(seed, 1.5, 1.1, marks=pytest.mark.long) for seed in (40, 42, 43, 44, 45, 46, 47)),
+        *(pytest.param(seed, 1.5, 1.1, marks=pytest.mark.long) for seed in (40, 41, 42, 43, 44, 45, 46, 47)),
         *(pytest.param(seed, 8.0, 0.8, marks=pytest.mark.long) for seed in (50, 51, 52, 53, 56, 58)),
         *(pytest.param(seed, 0.8, 2.0, marks=pytest.mark.long) for seed in (54, 55)),
     ],

@@ -78,7 +78,7 @@ def test_both_simulators_agree_on_every_effect():
         assert distance(by_mujoco.simulate(runs), first, runs[0].specimen.machine) < ALIKE, name
 
 
-@pytest.mark.parametrize("simulator", ["stepped", "mujoco"])
+@pytest.mark.parametrize("simulator", [pytest.param("stepped", marks=pytest.mark.long), "mujoco"])
 def test_a_motor_with_play_is_ahead_of_the_rigid_one_by_the_load_s_share_of_it(simulator):
     """Without friction no torque passes but between the two: their common centre moves as the rigid joint does."""
     if simulator == "mujoco":

@@ -198,7 +198,9 @@ def screen(tmp_path, monkeypatch):
         each.close()
 
 
-@pytest.mark.parametrize("size", [(80, 24), (200, 50), (40, 10)])
+@pytest.mark.parametrize(
+    "size", [(80, 24), *(pytest.param(size, marks=pytest.mark.long) for size in ((200, 50), (40, 10)))]
+)
 def test_a_terminal_shows_the_setpoint_and_how_to_stop(screen, size):
     at = screen(*size)
     lines = at.frame()

@@ -57,7 +57,7 @@ def runs(tmp_path_factory):
     return made
 
 
-@pytest.mark.parametrize("protocol", ["thermal", "winding-rise"])
+@pytest.mark.parametrize("protocol", [pytest.param("thermal", marks=pytest.mark.long), "winding-rise"])
 def test_every_shipped_run_with_temperatures_tells_the_network(runs, protocol):
     done = leactl("thermal", "fit", runs[protocol], "--motor", "lea", "--json")
     assert done.returncode == 0, done.stderr

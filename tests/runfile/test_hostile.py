@@ -136,7 +136,12 @@ HOSTILE |= {
 }
 
 
-@pytest.mark.parametrize("words", HOSTILE)
+SELDOM = {"more than 10000 groups and datasets", "more than 4194304 bytes of names"}  # long: other counts are short
+
+
+@pytest.mark.parametrize(
+    "words", [pytest.param(words, marks=[pytest.mark.long] if words in SELDOM else []) for words in HOSTILE]
+)
 def test_what_no_run_holds_is_refused_by_every_door(complete: Path, words: str):
     changed(complete, HOSTILE[words])
     for door in (Run.open, recover, altered):

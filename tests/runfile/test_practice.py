@@ -17,6 +17,7 @@ def practice_runs() -> list[Path]:
     return []
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not practice_runs(), reason="the practice files (../shared/gap-cases) are not on this machine")
 def test_every_practice_file_opens():
     for path in practice_runs():

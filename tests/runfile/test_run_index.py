@@ -149,6 +149,7 @@ def spoilt(made, tmp_path_factory):
     return copied, path.read_bytes(), catalogue.runs
 
 
+@pytest.mark.long
 @settings(max_examples=150, deadline=None)
 @given(st.data())
 def test_no_spoilt_index_changes_an_answer(spoilt, data):

@@ -130,6 +130,7 @@ def test_the_whole_protocol_gives_every_figure(tmp_path, monkeypatch):
     assert found["rmse"].value < 1.05 * INJECTED_K
 
 
+@pytest.mark.long
 def test_two_runs_at_once_do_not_mix(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "state"))

@@ -57,6 +57,7 @@ def by_name(drilled):
     return found
 
 
+@pytest.mark.long
 def test_the_shipped_bench_catches_its_whole_catalogue_and_ends_safe(drill):
     drilled = drill()
     assert [finding.faults for finding in drilled.findings if not finding.held] == []
@@ -89,7 +90,7 @@ def test_times_count_from_the_fault_to_the_cycle_that_ended_and_to_zero_torque_a
     ("without", "fault", "on"),
     [
         (["torque_disagreement"], "scaled_sensor", "torque_sensor"),
-        (["torque"], "stuck_sensor", "torque_sensor"),
+        pytest.param(["torque"], "stuck_sensor", "torque_sensor", marks=pytest.mark.long),
         (["angle", "velocity_disagreement"], "stuck_sensor", "drive_load"),
     ],
 )

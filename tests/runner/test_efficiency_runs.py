@@ -43,10 +43,18 @@ def powers(condition, resistance=LEA.phase_resistance):
 @pytest.mark.parametrize(
     ("seed", "condition", "name"),
     [
-        (1, "design", "efficiency"), (2, "unloaded", "efficiency"), (3, "loaded", "efficiency"),
-        (4, "design", "efficiency-driven"), (5, "loaded", "efficiency-driven"),
+        (1, "design", "efficiency"),
+        (5, "loaded", "efficiency-driven"),
+        *(
+            pytest.param(*drawn, marks=pytest.mark.long)
+            for drawn in (
+                (2, "unloaded", "efficiency"),
+                (3, "loaded", "efficiency"),
+                (4, "design", "efficiency-driven"),
+            )
+        ),
     ],
-)  # fmt: skip
+)
 def test_efficiency_within_2_points_and_losses_within_2_percent(spin, seed, condition, name):
     outcome, _ = spin(protocol(name), sets=(f"seed={seed}", *SHORT), condition=condition)
     assert outcome.status == "complete", outcome.reason

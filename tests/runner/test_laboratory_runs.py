@@ -60,6 +60,7 @@ def test_coast_down(spin):
     assert within(result.find("damping_over_inertia"), B / J, 0.02)
 
 
+@pytest.mark.long
 def test_torque_pulses(spin, bench_with):
     loss = 0.1  # at 25 A
     bench = bench_with(f"effects: [{{name: saturation, loss: {loss}}}]")

@@ -91,6 +91,7 @@ def test_every_frame_is_can_fd_and_no_sync_is_sent(spin, moteuses):
     assert all(isinstance(frame, FdFrame) for frame in seen)
 
 
+@pytest.mark.long
 def test_every_fault_of_the_catalogue_ends_a_run_of_two_controllers(moteuses, tmp_path):
     drilled = EmulatedDrill(moteuses, (), tmp_path, lambda *_: None).run()
     assert [finding.faults for finding in drilled.findings if not finding.held] == []

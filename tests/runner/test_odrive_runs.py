@@ -77,6 +77,7 @@ def test_no_sync_is_sent_where_no_device_listens_for_it(spin, odrives, bench):
     assert 0x080 in seen
 
 
+@pytest.mark.long
 def test_every_fault_of_the_catalogue_ends_a_run_of_odrives(odrives, tmp_path):
     drilled = EmulatedDrill(odrives, (), tmp_path, lambda *_: None).run()
     assert [finding.faults for finding in drilled.findings if not finding.held] == []

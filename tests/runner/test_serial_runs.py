@@ -74,6 +74,7 @@ def test_a_drive_whose_program_has_ended_ends_the_run(spin, bench):
     assert not made.far_ends["drive_test"].on
 
 
+@pytest.mark.long
 def test_a_drives_faults_end_a_run_over_serial_lines(bench, tmp_path):
     faults = ("cut_line", "drive_fault", "frozen_drive", "stuck_sensor")
     drilled = EmulatedDrill(bench(), faults, tmp_path, lambda *_: None).run()

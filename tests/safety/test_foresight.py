@@ -81,7 +81,7 @@ def waits(plan):
 
 @pytest.mark.parametrize(
     ("start", "bursts"),
-    [pytest.param(28.0, 3, marks=pytest.mark.long), pytest.param(60.0, 2, marks=pytest.mark.long), (100.0, 2)],
+    [pytest.param(*drawn, marks=pytest.mark.long) for drawn in ((28.0, 3), (60.0, 2), (100.0, 2))],
 )
 def test_a_plan_with_waits_passes_nowhere_and_waits_no_longer_than_it_must(start, bursts):
     plan = made(CURRENT, *[REST, *BURST] * bursts)
@@ -103,6 +103,7 @@ def test_a_plan_with_waits_passes_nowhere_and_waits_no_longer_than_it_must(start
             assert sight.forecast(cut).passing is not None
 
 
+@pytest.mark.long
 def test_no_wait_stands_where_current_or_speed_is_asked_for():
     busy = made(CURRENT, *BURST, held(2.0, "low", test=3.0), *BURST)
     longer, found = foresight().with_waits(busy)
@@ -145,7 +146,7 @@ def at_the_bench(tmp_path, monkeypatch):
     return request
 
 
-@pytest.mark.parametrize("insert", [False, True])
+@pytest.mark.parametrize("insert", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_a_hopeless_plan_is_refused_with_that_word(at_the_bench, insert):
     made = at_the_bench(HOT)
     windings = Windings(made.bench, made.devices, emulated_here=True)
@@ -511,6 +512,7 @@ def test_a_wait_stands_where_it_cannot_be_left_out():
         assert foresight().forecast(course_of(longer, (), [done])).passing is None
 
 
+@pytest.mark.long
 def test_a_wait_for_a_hot_step_under_a_condition_stands_before_it():
     plan = made(CURRENT, *BURST, MAYBE, *BURST, EndWhen())
     longer, forecast = foresight().with_waits(plan)
@@ -518,6 +520,7 @@ def test_a_wait_for_a_hot_step_under_a_condition_stands_before_it():
     assert foresight().forecast(course_of(longer, (), [True])).passing is None
 
 
+@pytest.mark.long
 def test_a_wait_is_not_put_under_a_condition_that_ends_before_the_hot_step():
     let_go = [held(0.0, test=0.0), held(1.0, "rest", test=0.0), held(0.0, test=3.0)]
     plan = made(CURRENT, *BURST, held(0.0, test=3.0), MAYBE, *let_go, EndWhen(), held(4.0, "burst", test=25.0))

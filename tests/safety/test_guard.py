@@ -115,7 +115,7 @@ def test_a_clock_that_goes_back_ends_the_run():
     assert "gone backwards" in guard.check(0.99)
 
 
-@pytest.mark.parametrize("start", [60.0, 120.0, 129.4, 130.0, 150.0])
+@pytest.mark.parametrize("start", [60.0, 120.0, 129.4, 130.0, pytest.param(150.0, marks=pytest.mark.long)])
 def test_a_hot_start_without_current_cools_and_never_trips(start):
     guard = ready(start=start)
     cause, _when = fed(guard, 120.0)

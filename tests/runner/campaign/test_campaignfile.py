@@ -199,7 +199,9 @@ def test_adding_a_run_leaves_the_shuffled_order_of_the_others():
     assert [cell for cell in after if cell.condition != "h"] == before
 
 
-@pytest.mark.parametrize("name", names())
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.long] if name == "paper" else []) for name in names()]
+)
 def test_a_shipped_campaign_is_whole_and_every_run_of_it_may_be_made(name, tmp_path, monkeypatch):
     monkeypatch.setenv("LEACTL_STATE", str(tmp_path))
     assert name not in COMMANDS
