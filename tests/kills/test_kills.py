@@ -36,9 +36,14 @@ def struck(tmp_path, monkeypatch):
         (BUSES[0], ["SIGSTOP"]),
         (BUSES[-1], ["driver call holding the GIL"]),
         (BUSES[-1], ["no room for the file"]),
-        (BUSES[-1], ["latch a pipe", "driver call broken"]),
-        (BUSES[-1], ["watchdog killed", "driver call spinning"]),
-        (BUSES[0], ["watchdog stopped", "driver call holding the GIL"]),
+        *(
+            pytest.param(bus, way, marks=pytest.mark.long)  # two strikes at once
+            for bus, way in (
+                (BUSES[-1], ["latch a pipe", "driver call broken"]),
+                (BUSES[-1], ["watchdog killed", "driver call spinning"]),
+                (BUSES[0], ["watchdog stopped", "driver call holding the GIL"]),
+            )
+        ),
     ],
 )
 def test_a_struck_run_leaves_no_torque_a_readable_file_and_its_bench_latched(struck, bus, way):
@@ -47,7 +52,7 @@ def test_a_struck_run_leaves_no_torque_a_readable_file_and_its_bench_latched(str
     assert all(0.0 <= seconds <= 1.02 for seconds in found["stop_s"].values())
 
 
-@pytest.mark.parametrize("bus", BUSES)
+@pytest.mark.parametrize("bus", [*(pytest.param(bus, marks=pytest.mark.long) for bus in BUSES[:-1]), BUSES[-1]])
 def test_a_killed_run_is_stopped_by_its_watchdog_where_the_drives_dead_man_fails(struck, bus):
     assert struck(bus, ["kill -9"], "without-dead-man")["faults"] == []
 
