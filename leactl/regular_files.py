@@ -32,11 +32,11 @@ def open_regular(path: Path, most_bytes: int | None = None) -> BinaryIO:
     ------
     OSError : the file cannot be opened, is not a regular file, or is too large; `strerror` has the reason.
     """
-    stream = os.fdopen(os.open(path, os.O_RDONLY | NONBLOCK | CLOEXEC | BINARY), "rb")
-    status = os.fstat(stream.fileno())
+    descriptor = os.open(path, os.O_RDONLY | NONBLOCK | CLOEXEC | BINARY)
+    status = os.fstat(descriptor)
     if stat.S_ISREG(status.st_mode) and (most_bytes is None or status.st_size <= most_bytes):
-        return stream
-    stream.close()
+        return os.fdopen(descriptor, "rb")
+    os.close(descriptor)
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not stat.S_ISREG(status.st_mode):

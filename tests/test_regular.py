@@ -1,6 +1,7 @@
 """Files that hold their reader for ever, or are larger than any of their kind, are refused before they are read."""
 
 import os
+from pathlib import Path
 
 import pytest
 
@@ -27,6 +28,23 @@ def endless(tmp_path, request):
 def test_a_file_of_another_kind_is_not_opened(endless):
     with pytest.raises(OSError, match="a regular file was expected"):
         open_regular(endless)
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (Path.mkdir, "Is a directory"),
+        (os.mkfifo, "a regular file was expected"),
+        (lambda path: path.write_bytes(b"xx"), "1 are read"),
+    ],
+)
+def test_what_is_refused_leaves_no_descriptor_open(tmp_path, make, reason):
+    make(tmp_path / "it")
+    before = os.listdir("/proc/self/fd")
+    with pytest.raises(OSError, match=reason) as caught:
+        open_regular(tmp_path / "it", most_bytes=1)
+    assert caught.value.filename == str(tmp_path / "it")
+    assert len(os.listdir("/proc/self/fd")) == len(before)
 
 
 @pytest.mark.parametrize("kind", READERS)
