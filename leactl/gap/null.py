@@ -23,7 +23,7 @@ from leactl.gap.replay.bearing import TRIED_GIVES
 from leactl.gap.replay.bench_of_model import plant_of
 from leactl.gap.replay.drive import means_over_samples
 from leactl.gap.replay.job import Job
-from leactl.gap.replay.readings import angle, current, velocity
+from leactl.gap.replay.readings import replayed_angle, replayed_current, replayed_velocity
 from leactl.gap.search.effect_regression import MOST_PRIOR_CHANGE, PINNED_PRIOR, PRIORS, Evidence, Null, bias_error
 from leactl.gap.search.effect_sets import (
     ENTRY_HEIGHT,
@@ -371,7 +371,7 @@ def delay_unknown_stamps(jobs: Sequence[Job], random: np.random.Generator) -> No
             job.angle = delayed(job.angle, -float(current_delay + reference_delay) * job.parts, 1.0)
         if job.velocity is not None and ("velocity", "test") in job.fast and ("velocity", "test") in unstamped:
             job.velocity = delayed(job.velocity, float(velocity_delay) * job.parts, 1.0)
-            job.fast["velocity", "test"] = velocity(job)
+            job.fast["velocity", "test"] = replayed_velocity(job)
 
 
 def with_smooth_inputs(record: Record) -> Record:
@@ -414,8 +414,8 @@ def fast_channels(job: Job) -> dict[Key, Array]:
     """Return the simulated channels of the fast clock, without noise."""
     channels, values = dict(job.fast), job.clock.values
     if job.angle is not None:
-        channels["angle", "test"] = angle(job)
-    if (current_reading := current(job)) is not None:
+        channels["angle", "test"] = replayed_angle(job)
+    if (current_reading := replayed_current(job)) is not None:
         channels["q_axis_current", "test"] = current_reading
     if (load_current := values.get(("q_axis_current", "load"))) is not None:
         channels["q_axis_current", "load"] = load_current  # the replay takes it as measured

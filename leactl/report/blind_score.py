@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from leactl.gap.blind.score import MOST_MEDIAN_DISTANCE, MOST_USUAL_DISTANCE, Calibration, Group, Score, Share
+from leactl.gap.blind.score import MOST_MEDIAN_DISTANCE, MOST_QUANTILE_90_DISTANCE, Calibration, Group, Score, Share
 
 FORMAT, VERSION = "leactl-gap-score", 1
-# targets of those figures that are no shares
+# targets of the figures that are not shares
 MOST_MEAN_SET_SIZE = 1.5
 MOST_CALIBRATION_ERROR, LEAST_BRIER_SKILL = 0.04, 0.8
 HOW_TO_READ = """\
@@ -64,7 +64,7 @@ def share_json(share: Share) -> dict[str, Any]:
 
 
 def markdown(score: Score, command: str) -> str:
-    """Return the score as a page of Markdown that begins with the command that made it."""
+    """Return the score as a page of Markdown, with the command that made it below the heading."""
     lines = ["# The check on withheld causes", "", "```", command, "```", "", f"{score.cases} cases.", "", HOW_TO_READ]
     lines += ["| question | target | result | count | 95 % interval |", "|---|---|---|---|---|"]
     lines += [share_row(share) for share in score.shares]
@@ -73,7 +73,7 @@ def markdown(score: Score, command: str) -> str:
         lines.append(f"| one effect: mean size of the reported set | {set_size_target} | {score.set_size:.2f} | | |")
     if score.behind_oracle is not None:
         median, quantile_90 = score.behind_oracle
-        distances_text = f"{MOST_MEDIAN_DISTANCE:g} / {MOST_USUAL_DISTANCE:g} | {median:.3f} / {quantile_90:.3f}"
+        distances_text = f"{MOST_MEDIAN_DISTANCE:g} / {MOST_QUANTILE_90_DISTANCE:g} | {median:.3f} / {quantile_90:.3f}"
         lines.append(f"| distance from the oracle: median / 90 % | {distances_text} | | |")
     for title, calibration in (("all cases", score.calibration), ("cases with a cause", score.calibration_of_named)):
         skill_text = "-" if calibration.skill is None else f"{calibration.skill:.3f}"

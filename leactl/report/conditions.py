@@ -11,7 +11,7 @@ def comparisons_text(experiment: str, comparisons: Sequence[Comparison], refused
     """Return a part for each compared result, and a part for each reason why results were not compared."""
     parts = [f"{experiment}: {len(comparisons)} results over conditions"]
     parts += [comparison_text(comparison) for comparison in comparisons]
-    parts += [wrapped("not compared:", [line], TEXT_WIDTH) for line in by_reason(refused)]
+    parts += [wrapped("not compared:", [line], TEXT_WIDTH) for line in merged_by_reason(refused)]
     return "\n\n".join(parts)
 
 
@@ -47,10 +47,10 @@ def comparison_text(comparison: Comparison) -> str:
     return "\n".join([*lines, *(wrapped("  note:", [note], TEXT_WIDTH) for note in comparison.notes)])
 
 
-def by_reason(lines: Sequence[str]) -> list[str]:
+def merged_by_reason(lines: Sequence[str]) -> list[str]:
     """Merge lines `result: reason` that share a reason into one line that lists their results."""
-    reasons: dict[str, list[str]] = {}
+    names_by_reason: dict[str, list[str]] = {}
     for line in lines:
         name, _, reason = line.partition(": ")
-        reasons.setdefault(reason, []).append(name)
-    return [f"{listed(names)}: {reason}" for reason, names in reasons.items()]
+        names_by_reason.setdefault(reason, []).append(name)
+    return [f"{listed(names)}: {reason}" for reason, names in names_by_reason.items()]

@@ -13,8 +13,8 @@ from leactl.report.gap_words import (
     after_calibration,
     bare_units,
     channel_label,
+    has_open_gap,
     is_gap,
-    open_gap,
     picture_text,
     region_text,
     residual_text,
@@ -46,10 +46,10 @@ def channel_cards(diagnosis: DiagnosisResult) -> list[Card]:
     }
     cards = []
     closed_channels = sorted(
-        (record for record in diagnosis.where if not open_gap(record)),
+        (record for record in diagnosis.where if not has_open_gap(record)),
         key=lambda record: -record.nominal_rms / max(record.floor_rms, 1e-300),
     )
-    for channel in [*filter(open_gap, diagnosis.where), *closed_channels]:
+    for channel in [*filter(has_open_gap, diagnosis.where), *closed_channels]:
         key = (channel.quantity, channel.role, channel.mechanical)
         if key not in traces or not is_gap(max(channel.nominal_rms, channel.calibrated_rms), channel.floor_rms):
             continue

@@ -29,9 +29,9 @@ from leactl.report.gap_words import (
     closes_nothing,
     effect_meaning,
     enumerated,
-    largest_first,
+    has_open_gap,
     multiple_of_floor,
-    open_gap,
+    open_gaps_largest_first,
     parameter_text,
     percent_text,
     probability_text,
@@ -79,7 +79,7 @@ def content(diagnosis: DiagnosisResult) -> dict[str, Any]:
 def headline_facts(diagnosis: DiagnosisResult) -> list[str]:
     """Return the probability that something unexplained acts, the largest gap, and how many channels have none."""
     facts = [f"Probability that something unexplained acts: {probability_text(diagnosis.unexplained_probability)}."]
-    for channel in largest_first(diagnosis.shrinkage)[:1]:
+    for channel in open_gaps_largest_first(diagnosis.shrinkage)[:1]:
         augmented_text = (
             f", {three_digits(channel.augmented_rms)} with the effects" if claimed_effects(diagnosis) else ""
         )
@@ -136,7 +136,7 @@ def rest_content(residual: Rest) -> dict[str, Any]:
 def shrinkage_content(diagnosis: DiagnosisResult) -> dict[str, Any]:
     """Return the bars of the channels with a gap, and a table of all channels."""
     has_effects = bool(claimed_effects(diagnosis))
-    open_channels = largest_first(diagnosis.shrinkage)
+    open_channels = open_gaps_largest_first(diagnosis.shrinkage)
     shown_channels = (
         open_channels if has_effects else [*open_channels, *closed_by_calibration(diagnosis.shrinkage)][:MOST_CARDS]
     )
@@ -148,7 +148,7 @@ def shrinkage_content(diagnosis: DiagnosisResult) -> dict[str, Any]:
             bare_units(channel.units),
             closed_text(channel),
         ]
-        for channel in [*open_channels, *(channel for channel in diagnosis.shrinkage if not open_gap(channel))]
+        for channel in [*open_channels, *(channel for channel in diagnosis.shrinkage if not has_open_gap(channel))]
     ]
     headings = ["channel", *MODELS, "units", "closed (95 %)"]
     if not has_effects:
@@ -216,5 +216,5 @@ def region_rows(diagnosis: DiagnosisResult) -> list[list[str]]:
             region_text(channel.region, channel.share),
         ]
         for channel in diagnosis.where
-        if open_gap(channel)
+        if has_open_gap(channel)
     ]

@@ -19,9 +19,9 @@ from leactl.report.gap_words import (
     closed_text,
     closes_nothing,
     enumerated,
-    largest_first,
+    has_open_gap,
     multiple_of_floor,
-    open_gap,
+    open_gaps_largest_first,
     parameter_text,
     picture_text,
     probability_text,
@@ -125,7 +125,7 @@ def shrinkage_part(diagnosis: DiagnosisResult, width: int) -> str:
     """Return the channels that have a gap, before and after, and how many have none."""
     if not diagnosis.shrinkage:
         return ""
-    shown_channels = largest_first(diagnosis.shrinkage)
+    shown_channels = open_gaps_largest_first(diagnosis.shrinkage)
     lines: list[str] = []
     headings: tuple[str, ...]
     if shown_channels and claimed_effects(diagnosis):
@@ -181,7 +181,7 @@ def region_part(diagnosis: DiagnosisResult, width: int) -> str:
             region_text(channel.region, channel.share),
         )
         for channel in diagnosis.where
-        if open_gap(channel)
+        if has_open_gap(channel)
     ]
     if not rows:
         return ""

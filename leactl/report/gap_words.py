@@ -48,7 +48,7 @@ ChannelGap = Where | Shrinkage
 def verdict_sentence(diagnosis: DiagnosisResult) -> str:
     """Return the verdict as one sentence that names the causes: faults of the set-up, then missing effects."""
     faults, missing_effects = claimed_faults(diagnosis), claimed_effects(diagnosis)
-    gap = next((channel for channel in largest_first(diagnosis.shrinkage) if channel.floor_rms > 0.0), None)
+    gap = next((channel for channel in open_gaps_largest_first(diagnosis.shrinkage) if channel.floor_rms > 0.0), None)
     if diagnosis.verdict in FAR_OFF and gap and gap.calibrated_rms > MOST_REPLAY_MISS * gap.floor_rms:
         floors = gap.calibrated_rms / gap.floor_rms
         return FAR_OFF[diagnosis.verdict].format(channel=channel_label(gap, diagnosis.shrinkage), floors=floors)
@@ -108,23 +108,25 @@ def is_gap(rms: float, floor_rms: float) -> bool:
     return rms > 0.0 and rms >= LEAST_GAP_FLOORS * floor_rms
 
 
-def open_gap(channel: ChannelGap) -> bool:
+def has_open_gap(channel: ChannelGap) -> bool:
     """Return whether the calibrated model leaves a gap in this channel."""
     return is_gap(channel.calibrated_rms, channel.floor_rms)
 
 
-def largest_first(channels: Sequence[Shrinkage]) -> list[Shrinkage]:
+def open_gaps_largest_first(channels: Sequence[Shrinkage]) -> list[Shrinkage]:
     """Return the channels with a gap, the largest multiple of the floor first."""
+    # a floor of zero comes first
     return sorted(
-        filter(open_gap, channels), key=lambda channel: -channel.calibrated_rms / max(channel.floor_rms, 1e-300)
+        filter(has_open_gap, channels), key=lambda channel: -channel.calibrated_rms / max(channel.floor_rms, 1e-300)
     )
 
 
 def closed_by_calibration(channels: Sequence[Shrinkage]) -> list[Shrinkage]:
     """Return the channels whose gap calibration closes, the largest first."""
     closed_channels = [
-        channel for channel in channels if not open_gap(channel) and is_gap(channel.nominal_rms, channel.floor_rms)
+        channel for channel in channels if not has_open_gap(channel) and is_gap(channel.nominal_rms, channel.floor_rms)
     ]
+    # a floor of zero comes first
     return sorted(closed_channels, key=lambda channel: -channel.nominal_rms / max(channel.floor_rms, 1e-300))
 
 
@@ -137,11 +139,11 @@ def closes_nothing(diagnosis: DiagnosisResult) -> bool:
 
 
 def closed_count_text(channels: Sequence[Shrinkage]) -> str:
-    """Return a text on the number of channels without a gap, and how many of these calibration has closed."""
-    floor_count = sum(not open_gap(channel) for channel in channels)
+    """Return as text how many channels have no gap, and in how many of these calibration has closed it."""
+    gapless_count = sum(not has_open_gap(channel) for channel in channels)
     calibrated_count = len(closed_by_calibration(channels))
     suffix = f", {calibrated_count} of them by calibration" if calibrated_count else ""
-    return f"{floor_count} of {len(channels)} channels are within {LEAST_GAP_FLOORS:g} times their floor{suffix}"
+    return f"{gapless_count} of {len(channels)} channels are within {LEAST_GAP_FLOORS:g} times their floor{suffix}"
 
 
 def three_digits(value: float) -> str:

@@ -1,7 +1,7 @@
 """Currents that the actuator of a thermal fit can carry, with the uncertainty of the fit.
 
 `leactl thermal limits` computes these currents from a motor file, for the worst actuator within its tolerances; this
-module, for the actuator that was heated.
+module computes them for the actuator that was heated.
 """
 
 from leactl.analysis.estimate import Estimate
@@ -20,11 +20,12 @@ HEAT_SHARE_BY_SUFFIX = {"": TURNING_HEAT_SHARE, "_standing": STANDING_HEAT_SHARE
 
 
 def current_capability(
-    parameters: FittedParameters, phase_to_line_ratio: float, limit: float, ambient: float
+    parameters: FittedParameters, phase_to_line_ratio: float, limit_temperature: float, ambient: float
 ) -> list[Estimate]:
     """Estimate continuous and peak q-axis currents [A] from ambient, turning (all phases alike) and standing.
 
-    `phase_to_line_ratio` is the resistance of a phase over that between two leads; limit and ambient are in degC.
+    `phase_to_line_ratio` is the resistance of a phase over that between two leads; `limit_temperature` and `ambient`
+    are in degC.
     """
     estimates = []
     for suffix, share in HEAT_SHARE_BY_SUFFIX.items():
@@ -41,7 +42,7 @@ def current_capability(
                     float(shifted_parameters.point[RESISTANCE_COEFFICIENT]),
                     REFERENCE_TEMPERATURE,
                 )
-                return current_for_rise(actuator, limit - ambient, ambient, duration, share)
+                return current_for_rise(actuator, limit_temperature - ambient, ambient, duration, share)
 
             estimates.append(parameters.estimate(name + suffix, "A", current))
     return estimates

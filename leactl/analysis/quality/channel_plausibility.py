@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from leactl.analysis.quality.hanging import EqualRow, hangs, longest_repeat, stands_while_companion_moves
+from leactl.analysis.quality.hanging import RepeatedReading, hangs, longest_repeat, stands_while_companion_moves
 from leactl.analysis.quality.saturation import clipping_value
 from leactl.analysis.quality.setpoint_tracking import compare_with_demand
 from leactl.analysis.quality.sign_checks import SIGN_SWAPPED
@@ -139,7 +139,7 @@ def contradiction(run: Run, channel: Channel) -> str:
     return ""
 
 
-def reason_for_hanging(run: Run, channel: Channel, repeat: EqualRow) -> str:
+def reason_for_hanging(run: Run, channel: Channel, repeat: RepeatedReading) -> str:
     """Return a text on the readings that a channel repeats although it should change; empty if it need not change."""
     if channel.quantity in (*HEATED_QUANTITIES, *SUPPLY_QUANTITIES) and leaves_its_range(channel, repeat):
         return ""  # the analysis reports these readings and leaves them out
@@ -155,7 +155,7 @@ def reason_for_hanging(run: Run, channel: Channel, repeat: EqualRow) -> str:
     )
 
 
-def reason_for_doubt(run: Run, channel: Channel, repeat: EqualRow | None) -> str:
+def reason_for_doubt(run: Run, channel: Channel, repeat: RepeatedReading | None) -> str:
     """Return the reason to doubt a constant reading or an ambient temperature; empty if there is none."""
     long_repeat = (
         repeat is not None and repeat.value != 0.0 and repeat.length > LONGEST_VOLTAGE_REPEAT * len(channel.values)
@@ -175,7 +175,7 @@ def reason_for_doubt(run: Run, channel: Channel, repeat: EqualRow | None) -> str
     return ""
 
 
-def leaves_its_range(channel: Channel, repeat: EqualRow) -> bool:
+def leaves_its_range(channel: Channel, repeat: RepeatedReading) -> bool:
     """Return whether the repeated reading is the end of the sensor's range, and later readings are within the range."""
     return clipping_value(channel) == repeat.value and repeat.last < int(
         np.flatnonzero(np.isfinite(channel.values))[-1]

@@ -20,7 +20,7 @@ LEAST_COMPANION_CHANGE = 0.5
 FEWEST_ON_EACH_SIDE = 5  # readings on each side of such a change; the first readings after it may come late
 
 
-class EqualRow(NamedTuple):
+class RepeatedReading(NamedTuple):
     """A row of equal readings in a record, by the indices of its first and last reading."""
 
     first: int
@@ -33,7 +33,7 @@ class EqualRow(NamedTuple):
         return self.last - self.first + 1
 
 
-def longest_repeat(values: Array) -> EqualRow | None:
+def longest_repeat(values: Array) -> RepeatedReading | None:
     """Return the longest row of equal readings; None if no two successive readings are equal."""
     if not len(values):
         return None
@@ -43,10 +43,12 @@ def longest_repeat(values: Array) -> EqualRow | None:
     if finite_lengths.max() < 2:
         return None
     longest = int(np.argmax(finite_lengths))
-    return EqualRow(int(starts[longest]), int(starts[longest] + lengths[longest] - 1), float(values[starts[longest]]))
+    return RepeatedReading(
+        int(starts[longest]), int(starts[longest] + lengths[longest] - 1), float(values[starts[longest]])
+    )
 
 
-def hangs(values: Array, repeat: EqualRow) -> bool:
+def hangs(values: Array, repeat: RepeatedReading) -> bool:
     """Return whether a row of equal readings is a considerable share of the record and too long to be chance.
 
     The noise of the other readings shows what may be chance.
@@ -64,7 +66,7 @@ def hangs(values: Array, repeat: EqualRow) -> bool:
     )
 
 
-def stands_while_companion_moves(repeat: EqualRow, companion: Array) -> bool:
+def stands_while_companion_moves(repeat: RepeatedReading, companion: Array) -> bool:
     """Return whether the quantity that a channel follows changes level during a row of equal readings.
 
     `companion` is that quantity at the stamps of the channel.

@@ -65,7 +65,7 @@ def records_of(run: Run, experiment: NoiseExperiment) -> Noted[list[NoiseRecord]
     clipping_value, clipped = find_saturation(response, holds)
     clipped_starts = {hold.start for hold in clipped}
     records: list[NoiseRecord] = []
-    left_out: dict[str, list[str]] = {}
+    stretches_by_reason: dict[str, list[str]] = {}
     for step, hold in zip(steps, holds, strict=True):
         record: NoiseRecord | str
         if hold.start in clipped_starts:
@@ -73,11 +73,11 @@ def records_of(run: Run, experiment: NoiseExperiment) -> Noted[list[NoiseRecord]
         else:
             record = _longest_gapless_record(str(run.path), reference, response, step, experiment)
         if isinstance(record, str):
-            left_out.setdefault(record, []).append(f"{hold.setpoint:g} at {step.start:.1f} s")
+            stretches_by_reason.setdefault(record, []).append(f"{hold.setpoint:g} at {step.start:.1f} s")
         else:
             records.append(record)
     if not records:
-        reasons = "; ".join(f"{len(stretches)}: {reason}" for reason, stretches in left_out.items())
+        reasons = "; ".join(f"{len(stretches)}: {reason}" for reason, stretches in stretches_by_reason.items())
         description = (
             f"{len(steps)} stretches of noise, none of use ({reasons})"
             if steps
@@ -86,7 +86,7 @@ def records_of(run: Run, experiment: NoiseExperiment) -> Noted[list[NoiseRecord]
         raise NotIdentifiable(
             f"{run.path}: found {description}; one with {FEWEST_GAPLESS_SAMPLES} samples in a row is needed"
         )
-    return Noted(records, tuple(tally(left_out, str(run.path))))
+    return Noted(records, tuple(tally(stretches_by_reason, str(run.path))))
 
 
 def _is_noise(step: Step, level_key: str) -> bool:

@@ -126,7 +126,7 @@ def gather_means(
     ----------
     quantities : names; each has an entry in `means`, `standard_errors` and `quarter_means` of the answer.
     read : returns the channel of a quantity, NaN for readings that must not count.
-    hold_selector : selects the holds.
+    hold_selector : which holds are averaged.
 
     Raises
     ------
@@ -169,16 +169,16 @@ def _rows_of(
 ) -> Noted[list[tuple[int, Hold, list[SettledMean]]]]:
     """Return a row for each hold with enough data: the index of the run, the hold, and the mean of each channel."""
     holds = hold_selector.holds_of(run)
-    left_out: dict[str, list[str]] = {}
+    holds_by_reason: dict[str, list[str]] = {}
     rows = []
     for hold in holds:
         means = [settled_mean(channel, hold.start, hold.stop) for channel in channels]
         lacking = [channel.quantity for channel, mean in zip(channels, means, strict=True) if mean is None]
         if lacking:
-            left_out.setdefault(f"too little {' and '.join(lacking)} in the settled part", []).append(str(hold))
+            holds_by_reason.setdefault(f"too little {' and '.join(lacking)} in the settled part", []).append(str(hold))
         else:
             rows.append((run_index, hold, [mean for mean in means if mean is not None]))
-    notes = tally(left_out, f"{run.path}")
+    notes = tally(holds_by_reason, f"{run.path}")
     if not rows:
         finding = f"{len(holds)} holds, none with data" if holds else f"no step named 'hold' with {hold_selector.key}"
         raise NotIdentifiable(f"{run.path}: found {finding}; two held levels or more are needed")

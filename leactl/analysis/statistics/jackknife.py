@@ -40,7 +40,8 @@ class JackknifedFigure:
     """A figure of one level with its standard error."""
 
     figure: LevelFigure
-    standard_error: float  # of the figure, from the scatter of the trials; NaN with one trial
+    # of the figure, from the scatter of the trials; NaN with one trial, or if a choice of trials gives no value
+    standard_error: float
     dof: int  # degrees of freedom: trials less one
 
 
@@ -73,7 +74,7 @@ def jackknife_over_trials(trial_count: int, figure: Callable[[Sequence[int]], Le
 def mean_of_levels(name: str, units: str, levels: Sequence[JackknifedFigure]) -> Estimate:
     """Average the figure over the levels, with its 95 % interval (GUM, G.4: Welch and Satterthwaite).
 
-    Standard uncertainty and interval are NaN if any level has one trial.
+    Standard uncertainty and interval are NaN if the standard error of any level is.
 
     Parameters
     ----------

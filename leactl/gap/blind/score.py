@@ -12,7 +12,7 @@ from leactl.gap.blind.truth import BENCH_MACHINE
 Z = 1.959964  # standard deviations on either side that hold 95 %
 PROBABILITY_BINS = 10
 MOST_MEDIAN_DISTANCE = 0.03  # largest distance from the share that the oracle closes, in half of the cases
-MOST_USUAL_DISTANCE = 0.08  # largest distance from the share that the oracle closes, in nine tenths of the cases
+MOST_QUANTILE_90_DISTANCE = 0.08  # largest distance from the share that the oracle closes, in nine tenths of the cases
 MOST_PARAMETER_STDS = 2.0  # standard errors by which a calibrated parameter may differ from the truth
 Test = Callable[[Mark], bool]
 CASE_KINDS = ("single", "pair", "none", "unknown")
@@ -233,14 +233,14 @@ def share_within_stds(question: str, departures: Sequence[Departure]) -> Share:
 
 def oracle_shares(distances: Sequence[float]) -> tuple[Share, Share]:
     """Return the shares of cases whose closed share of the gap is close to that of an oracle."""
-    (median_count, median_bound), (usual_count, usual_bound) = (
+    (median_count, median_bound), (quantile_90_count, quantile_90_bound) = (
         (sum(distance <= bound for distance in distances), bound)
-        for bound in (MOST_MEDIAN_DISTANCE, MOST_USUAL_DISTANCE)
+        for bound in (MOST_MEDIAN_DISTANCE, MOST_QUANTILE_90_DISTANCE)
     )
     text = "share closed within {:.2f} of an oracle that is told the effect"
     return (
         Share(text.format(median_bound), ">= 50 %", median_count, len(distances)),
-        Share(text.format(usual_bound), ">= 90 %", usual_count, len(distances)),
+        Share(text.format(quantile_90_bound), ">= 90 %", quantile_90_count, len(distances)),
     )
 
 

@@ -14,12 +14,12 @@ from leactl.gap.signals.voltage_ceiling import at_ceiling
 
 Array = npt.NDArray[np.float64]
 BUSIEST_SAMPLES = 2000  # number of samples with the largest changes, which show how a reference moves between samples
-ROUNDING_HOLD_S = 1.0  # s, longest time for which a rounding error stays the same
+ROUNDING_HOLD_S = 1.0  # s, time for which a rounding error stays the same
 RECOVERY_SAMPLES = 12  # samples on either side of the voltage ceiling in which the loop still recovers
 
 
 def compute_current(job: Job) -> None:
-    """Write the current of the whole run, if it has one, into the job; it depends on no motion and never restarts."""
+    """Write the current of the whole run, if it has one, into the job; no replayed motion or restart changes it."""
     clock, plant = job.clock, job.plant
     bandwidth = plant.model.bench.current_loop_bandwidth
     if clock.get("q_axis_current_reference") is not None:

@@ -11,7 +11,7 @@ from leactl.gap.signals.record import Clocked, Key, Record
 from leactl.gap.signals.rig import load_of
 
 Array = npt.NDArray[np.float64]
-SERVO_STEP = 0.02  # longest sub-step over a servo's shortest response time: back-EMF is then right to a percent
+SERVO_SUB_STEP = 0.02  # longest sub-step over a servo's shortest response time: back-EMF is then right to a percent
 
 
 @dataclass
@@ -59,7 +59,7 @@ class Job:
         assert model.drive is not None
         load = load_of(self.record, model).inertia
         shortest, _ = servo_times(model, np.array([model.drive.gain if gain is None else gain]), load, load)
-        return min(max(SERVO_STEP * shortest, self.clock.interval / MOST_STEPS), self.clock.interval)
+        return min(max(SERVO_SUB_STEP * shortest, self.clock.interval / MOST_STEPS), self.clock.interval)
 
     @property
     def by_servo(self) -> bool:

@@ -29,23 +29,27 @@ def write_readings(job: Job) -> None:
     if clock.get("q_axis_current_reference") is not None or job.clock.get("angle_reference") is not None:
         # without the loop's bandwidth the model cannot predict how a current follows its reference
         has_loop = job.plant.model.bench.current_loop_bandwidth is not None or job.plant.model.drive is not None
-        current_reading = current(job) if has_loop else None
+        current_reading = replayed_current(job) if has_loop else None
         if current_reading is not None:  # without a reference the measured current is an input
             current_reading = np.where(
                 clock.samples_without_reference("q_axis_current_reference"), np.nan, current_reading
             )
         readings["q_axis_current"] = current_reading
     if job.velocity is not None:
-        readings["velocity"] = velocity(job) if clock.get("velocity") is not None else derived_speed(job)
-        readings["torque"] = torque(job) if job.record.mechanical in ("locked", "coupled") else None
-        readings["angle"] = angle(job) if not job.restarts and job.record.mechanical != "locked" else None
-    volts = voltage(job)
-    readings["q_axis_voltage"] = volts
+        readings["velocity"] = replayed_velocity(job) if clock.get("velocity") is not None else derived_speed(job)
+        readings["torque"] = replayed_torque(job) if job.record.mechanical in ("locked", "coupled") else None
+        readings["angle"] = replayed_angle(job) if not job.restarts and job.record.mechanical != "locked" else None
+    drive_voltage = replayed_voltage(job)
+    readings["q_axis_voltage"] = drive_voltage
     for name, values in readings.items():
         if values is not None and (clock.get(name) is not None or name == "velocity"):
             job.fast[name, "test"] = restamped(values, clock.stamping.get(STAMP_EQUATIONS.get(name, "")))
-    if volts is not None and clock.get("bus_voltage", "bench") is not None and job.plant.model.bench.bus_voltage:
-        job.fast["bus_voltage", "bench"] = bus(job, volts)
+    if (
+        drive_voltage is not None
+        and clock.get("bus_voltage", "bench") is not None
+        and job.plant.model.bench.bus_voltage
+    ):
+        job.fast["bus_voltage", "bench"] = replayed_bus_voltage(job, drive_voltage)
     turns_load = job.record.mechanical == "coupled"  # in other set-ups no replay includes the load actuator
     if turns_load and job.load_velocity is not None and clock.get("velocity", "load") is not None:
         job.fast["velocity", "load"] = filtered_speed(job, job.load_velocity)
@@ -53,7 +57,7 @@ def write_readings(job: Job) -> None:
         values[: job.first + 1] = np.nan
 
 
-def current(job: Job) -> Array | None:
+def replayed_current(job: Job) -> Array | None:
     """Return the current reading [A] at the samples, as instants or means; None where the replay has no current."""
     if job.current is None or job.current_mean is None:
         return None
@@ -64,7 +68,7 @@ def current(job: Job) -> Array | None:
     return job.plant.current_gain * winding_current + job.plant.current_offset
 
 
-def velocity(job: Job) -> Array:
+def replayed_velocity(job: Job) -> Array:
     """Return the velocity reading [rad/s]: encoder differences through the drive's filter."""
     assert job.velocity is not None and job.angle is not None
     speed = job.velocity
@@ -79,11 +83,11 @@ def derived_speed(job: Job) -> Array:
     return smooth(means_over_samples(job.velocity[: (len(job.clock.time) - 1) * job.parts], job.parts))
 
 
-def filtered_speed(job: Job, over_steps: Array, sensor_errors: Sequence[Becomes] = ()) -> Array:
+def filtered_speed(job: Job, speed_of_steps: Array, sensor_errors: Sequence[Becomes] = ()) -> Array:
     """Return a speed [rad/s] at the samples after the sensor's errors and the model's velocity filter.
 
-    over_steps : speed over each sub-step.
-    sensor_errors : errors of the sensor.
+    speed_of_steps : speed over each sub-step.
+    sensor_errors : changes of the speed by the sensor, applied in turn before the filter.
     """
     step_count = (len(job.clock.time) - 1) * job.parts
     bandwidth = job.plant.model.bench.velocity_filter_bandwidth
@@ -97,7 +101,7 @@ def filtered_speed(job: Job, over_steps: Array, sensor_errors: Sequence[Becomes]
             values = lfilter([1.0 - decay], [1.0, -decay], values, zi=[decay * values[0]])[0]
         return values
 
-    steps = over_steps[:step_count]
+    steps = speed_of_steps[:step_count]
     steps = _filtered_from_starts(job, steps, filtered) if job.restarts else filtered(steps)
     return np.concatenate([steps[:1], steps[job.parts - 1 :: job.parts]])
 
@@ -124,7 +128,7 @@ def measured_speed(job: Job) -> Array:
     return smooth(speeds(angles, clock.interval))
 
 
-def angle(job: Job) -> Array:
+def replayed_angle(job: Job) -> Array:
     """Return the encoder's reading of the angle [rad] at the samples."""
     assert job.angle is not None
     reading = job.angle[:: job.parts][: len(job.clock.time)]
@@ -133,7 +137,7 @@ def angle(job: Job) -> Array:
     return np.asarray(reading, np.float64)
 
 
-def torque(job: Job) -> Array:
+def replayed_torque(job: Job) -> Array:
     """Return the torque channel [N*m]: the sensor's reading of the shaft's torque after the channel's filter."""
     assert job.torque is not None and job.angle is not None
     instant_count = (len(job.clock.time) - 1) * job.parts + 1
@@ -151,17 +155,17 @@ def torque(job: Job) -> Array:
     return np.asarray(reading[:: job.parts], np.float64)
 
 
-def voltage(job: Job) -> Array | None:
+def replayed_voltage(job: Job) -> Array | None:
     """Return the drive's voltage [V] with resistance, inductance, back-EMF and inverter loss; None where unknown."""
     model = job.plant.model
     if job.current is None or job.current_mean is None or model.phase_resistance is None:
         return None
     if job.velocity is None and job.record.mechanical != "locked":
         return None
-    samples, parts = len(job.clock.time), job.parts
-    step_count = (samples - 1) * parts
+    sample_count, parts = len(job.clock.time), job.parts
+    step_count = (sample_count - 1) * parts
     speed = job.velocity[:step_count] if job.velocity is not None else np.zeros(step_count)
-    emf_constant = np.full(samples, model.back_emf_constant or model.torque_constant or 0.0)
+    emf_constant = np.full(sample_count, model.back_emf_constant or model.torque_constant or 0.0)
     course = job.course()
     for magnet_share in job.plant.magnet_share:
         emf_constant = emf_constant * magnet_share(course)
@@ -189,11 +193,11 @@ def voltage(job: Job) -> Array | None:
     )
 
 
-def bus(job: Job, volts: Array) -> Array:
+def replayed_bus_voltage(job: Job, drive_voltage: Array) -> Array:
     """Return the bus voltage [V] under the power of the test drive: U = U0 - r P / U."""
     idle_voltage, resistance = job.plant.model.bench.bus_voltage or 0.0, job.plant.bus_resistance
     if not resistance or job.current_mean is None:
-        return np.full(len(volts), idle_voltage)
-    power = volts * means_over_samples(job.current_mean, job.parts)
+        return np.full(len(drive_voltage), idle_voltage)
+    power = drive_voltage * means_over_samples(job.current_mean, job.parts)
     discriminant = np.maximum(idle_voltage**2 - 4.0 * resistance * power, 0.0)
     return np.asarray(0.5 * (idle_voltage + np.sqrt(discriminant)), np.float64)

@@ -13,7 +13,7 @@ from leactl import __version__
 from leactl.errors import InputError
 from leactl.gap.replay import replay
 from leactl.gap.replay.job import Job
-from leactl.gap.replay.readings import angle
+from leactl.gap.replay.readings import replayed_angle
 from leactl.gap.replay.unknown_inputs import unknown_samples
 from leactl.gap.signals.record import Clocked, Key, Mask, read_record
 from leactl.gap.signals.rig import voltage_feed
@@ -96,7 +96,7 @@ def replayed_channels(job: Job) -> dict[Key, tuple[Clocked, Array]]:
         if clock is not None:
             replayed |= {key: (clock, values) for key, values in channels.items()}
     if job.angle is not None:
-        replayed.setdefault(("angle", "test"), (job.clock, angle(job)))
+        replayed.setdefault(("angle", "test"), (job.clock, replayed_angle(job)))
     return replayed
 
 

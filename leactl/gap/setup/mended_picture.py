@@ -38,7 +38,7 @@ class ChannelDeviation:
     expected_channel: ExpectedChannel  # of the mended run
     logged: Array
     mended: Array
-    samples: npt.NDArray[np.intp]  # indices in the run at which both errors are known
+    sample_indices: npt.NDArray[np.intp]  # indices in the run at which both errors are known
     interval: float  # s, between samples of the mended run
 
 
@@ -83,7 +83,7 @@ def expected_channels(record: Record, model: Model) -> Iterator[ExpectedChannel]
 def channel_deviation(
     logged: Record, mended: Record, logged_channel: ExpectedChannel | None, mended_channel: ExpectedChannel
 ) -> ChannelDeviation | None:
-    """Return the deviation of a channel as logged and as mended; None if either is not known at any sample."""
+    """Return the deviation of a channel as logged and as mended; None if no sample has both."""
     if logged_channel is None or logged.fast is None or mended.fast is None:
         return None
     valid = logged.fast.all_valid(*logged_channel.inputs) & mended.fast.all_valid(*mended_channel.inputs)
@@ -91,10 +91,12 @@ def channel_deviation(
         smooth(expected_channel.measured) - smooth(expected_channel.expected)
         for expected_channel in (logged_channel, mended_channel)
     )
-    samples = np.flatnonzero(valid)
-    if not len(samples):
+    sample_indices = np.flatnonzero(valid)
+    if not len(sample_indices):
         return None
-    return ChannelDeviation(mended_channel, logged_error[samples], mended_error[samples], samples, mended.fast.interval)
+    return ChannelDeviation(
+        mended_channel, logged_error[sample_indices], mended_error[sample_indices], sample_indices, mended.fast.interval
+    )
 
 
 def removed_share(group: Sequence[ChannelDeviation]) -> float:
@@ -110,10 +112,10 @@ def values_drawn_over(deviation: ChannelDeviation, over_time: bool) -> Array:
     They are the time since the run's first sample [s], or the values of the channel's variable.
     """
     if over_time:
-        return np.asarray(deviation.interval * deviation.samples, np.float64)
+        return np.asarray(deviation.interval * deviation.sample_indices, np.float64)
     expected_channel = deviation.expected_channel
     return smooth(expected_channel.expected if expected_channel.drawn_over is None else expected_channel.drawn_over)[
-        deviation.samples
+        deviation.sample_indices
     ]
 
 
@@ -122,15 +124,14 @@ def residual_picture(
 ) -> Picture | None:
     """Return the picture of a channel's error in bins of its variable, or of time if `over_time`.
 
-    The result is None with too few bins.
-
     `channel` is quantity, role and mechanical set-up. Over time, an error is multiplied by the sign of the slope of
-    the expected value, so that a channel that is late has the same sign in both directions.
+    the expected value, so that a channel that is late has the same sign in both directions. The result is None with
+    too few bins.
     """
     signs = [
-        np.sign(slope(smooth(deviation.expected_channel.expected), 1.0))[deviation.samples]
+        np.sign(slope(smooth(deviation.expected_channel.expected), 1.0))[deviation.sample_indices]
         if over_time
-        else np.ones(len(deviation.samples))
+        else np.ones(len(deviation.sample_indices))
         for deviation in group
     ]
     logged_error = np.concatenate([deviation.logged * sign for deviation, sign in zip(group, signs, strict=True)])
@@ -139,7 +140,7 @@ def residual_picture(
     # numbered through all runs: samples of one stretch count as one independent group
     stretches = np.concatenate(
         [
-            run * STRETCHES + deviation.samples * STRETCHES // (int(deviation.samples[-1]) + 1)
+            run * STRETCHES + deviation.sample_indices * STRETCHES // (int(deviation.sample_indices[-1]) + 1)
             for run, deviation in enumerate(group)
         ]
     )

@@ -18,7 +18,7 @@ from leactl.analysis.anova.comparison import Comparison
 from leactl.analysis.estimate import Grid
 from leactl.errors import InputError
 from leactl.model.motor_schema import MotorSheet
-from leactl.report.conditions import by_reason
+from leactl.report.conditions import merged_by_reason
 from leactl.report.datasheet.figures import figures, heading, over_conditions, plain, pretty
 from leactl.report.datasheet.instruments import InstrumentUse, instruments_of
 from leactl.report.datasheet.runset import GroupResult, RunEntry, RunSet
@@ -122,7 +122,7 @@ def experiment_content(
             names_in_table = {row.name for row in section.rows[experiment]}
             shown_comparisons = [comparison for comparison in verdict.comparisons if comparison.name in names_in_table]
             comparisons.append(comparison_content(shown_comparisons, prefix, run_set.entries))
-            notes += [f"{prefix}not compared over conditions: {line}" for line in by_reason(verdict.refused)]
+            notes += [f"{prefix}not compared over conditions: {line}" for line in merged_by_reason(verdict.refused)]
     entries = [entry for group in results for entry in group.entries]
     for group in results:
         notes += [note for note in group.result.notes if note not in notes]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from leactl.analysis.quality.hanging import EqualRow, longest_repeat
+from leactl.analysis.quality.hanging import RepeatedReading, longest_repeat
 
 
 def test_an_empty_record_repeats_no_reading():
@@ -10,5 +10,5 @@ def test_an_empty_record_repeats_no_reading():
 
 
 def test_the_longest_row_of_finite_readings_counts():
-    assert longest_repeat(np.array([1.0, 2.0, 2.0, np.nan, np.nan, 3.0, 3.0, 3.0])) == EqualRow(5, 7, 3.0)
+    assert longest_repeat(np.array([1.0, 2.0, 2.0, np.nan, np.nan, 3.0, 3.0, 3.0])) == RepeatedReading(5, 7, 3.0)
     assert longest_repeat(np.array([1.0, 2.0, 1.0])) is None
