@@ -1,6 +1,6 @@
 """Open and read regular files only: to open a FIFO waits for its writer, and a device such as /dev/zero never ends.
 
-Also: whether a file is being written, and reads and writes at an offset.
+It also tells whether a file is being written, and reads and writes at an offset.
 
 Flags that only POSIX has are 0 on other systems, on which leactl reads files and emulates benches.
 """
@@ -85,7 +85,8 @@ def file_bytes(path: Path, most_bytes: int | None = None, count: int = -1) -> by
 
     Raises
     ------
-    InputError : the file cannot be opened, is not a regular file, or is larger than `most_bytes`; in one line.
+    InputError : the file cannot be opened, is not a regular file, or is larger than `most_bytes`; the message is one
+        line.
     """
     try:
         with open_regular(path, most_bytes) as stream:

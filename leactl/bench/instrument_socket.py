@@ -23,7 +23,12 @@ ADVICE = {  # by errno
 
 
 class InstrumentSocket:
-    """An open connection; `read` waits at most its timeout, `write` and `close` do not wait."""
+    """An open connection; `read` waits at most its timeout, `write` and `close` do not wait.
+
+    Raises
+    ------
+    OSError : there is no connection within `CONNECT_S`; the message has the reason, and where it can, what to do.
+    """
 
     def __init__(self, host: str, port: int) -> None:
         self._address = f"{host} port {port}"

@@ -21,7 +21,12 @@ ADVICE = {  # by errno
 
 
 class Tty:
-    """An open serial device; `read` waits at most its timeout, `write` and `close` do not wait."""
+    """An open serial device; `read` waits at most its timeout, `write` and `close` do not wait.
+
+    Raises
+    ------
+    OSError : the device cannot be opened; the message has the reason, and where it can, what to do.
+    """
 
     def __init__(self, bus: SerialBus) -> None:
         import serial

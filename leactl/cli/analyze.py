@@ -58,6 +58,7 @@ def analyze(
     from leactl.scheduler import workers_of
 
     options = numeric_options(assignments, torque_constant=torque_constant, torque_constant_std=torque_constant_std)
+    # "generic" is another name of the analysis "channels"
     experiment_name = GENERIC_ANALYSIS if experiment == "generic" else experiment
     folders = [path for path in runs if path.is_dir()]
     files = [file for path in runs for file in (run_files([path]) if path in folders else [path])]

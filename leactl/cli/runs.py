@@ -485,12 +485,12 @@ def tail(
     import sys
     import time
 
-    from leactl.report.run_tail import RowPrinter
+    from leactl.report.run_tail import RowFormatter
     from leactl.report.terminal import duration
     from leactl.runfile.read.tail import RunTail, thinned
 
     run_tail = RunTail(run, channels or [], rows)
-    printer = RowPrinter(shutil.get_terminal_size().columns if sys.stdout.isatty() else None)
+    formatter = RowFormatter(shutil.get_terminal_size().columns if sys.stdout.isatty() else None)
     shown_until: dict[str, float] = {}
     narrow_streams: set[str] = set()  # those of which it was said that channels have no room
     has_warned = False
@@ -504,14 +504,16 @@ def tail(
         read_duration_s = time.monotonic() - start_s
         for rows_of_stream in new_rows:
             shown_rows = thinned(rows_of_stream, every, shown_until)
-            lines = map(json.dumps, shown_rows.as_json()) if as_json else printer.lines(shown_rows)
+            lines = map(json.dumps, shown_rows.as_json()) if as_json else formatter.lines(shown_rows)
             for line in lines:
                 typer.echo(line)
             sys.stdout.flush()
-        for stream, left_out in printer.left_out.items():
-            if left_out and stream not in narrow_streams:
+        for stream, omitted_channels in formatter.omitted_channels.items():
+            if omitted_channels and stream not in narrow_streams:
                 narrow_streams.add(stream)
-                print_remark(f"no room for {', '.join(left_out)}: name the channels to see, or widen the terminal")
+                print_remark(
+                    f"no room for {', '.join(omitted_channels)}: name the channels to see, or widen the terminal"
+                )
         unwritten_s = run_tail.unwritten_s() if run_tail.is_recording else 0.0
         if unwritten_s > UNWRITTEN_S and not has_warned:
             silence_text = f"not written for {duration(unwritten_s)}"

@@ -32,7 +32,7 @@ have hidden the beginning of a valid one, so that only its first byte is noise.
 
 
 class SerialLine(Protocol):
-    """A connection: a serial device of this machine, or the near end of an emulated line."""
+    """A connection: a serial device of this machine, an instrument's socket, or the near end of an emulated line."""
 
     def read(self, timeout: float) -> bytes:
         """Return bytes that have arrived; wait at most `timeout` seconds for the first byte.

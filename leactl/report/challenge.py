@@ -3,12 +3,12 @@
 import math
 from collections.abc import Sequence
 
-from leactl.runner.challenge.hunt import Hunted
+from leactl.runner.challenge.hunt import SearchResult
 
 HEADING = f"{'role':<6}{'rate_Hz':>8}  {'angle':<9}{'courses':>8}{'below bound':>13}{'hottest':>11}  kind of course"
 
 
-def challenge_text(searches: Sequence[Hunted], limit: float) -> str:
+def challenge_text(searches: Sequence[SearchResult], limit: float) -> str:
     """Return a line for each search: how far the true temperature stayed below its bound, and the hottest phase."""
     lines = [HEADING]
     for search in searches:
@@ -20,12 +20,12 @@ def challenge_text(searches: Sequence[Hunted], limit: float) -> str:
     return "\n".join(lines)
 
 
-def margin_text(search: Hunted) -> str:
+def margin_text(search: SearchResult) -> str:
     """Return the least distance [K] of the true temperature below its bound, as text."""
     return f"{-search.nearest.over_k:.2f} K" if math.isfinite(search.nearest.over_k) else "-"
 
 
-def challenge_json(searches: Sequence[Hunted], limit: float) -> dict[str, object]:
+def challenge_json(searches: Sequence[SearchResult], limit: float) -> dict[str, object]:
     """Return the searches as a JSON document; the `genes` of an attempt reproduce its course."""
     return {
         "limit_degC": limit,
@@ -36,15 +36,15 @@ def challenge_json(searches: Sequence[Hunted], limit: float) -> dict[str, object
                 "rate_Hz": search.rate_hz,
                 "angle": search.reading,
                 "courses": search.attempts,
-                "nearest": _attempt(search, nearest=True),
-                "hottest": _attempt(search, nearest=False),
+                "nearest": _attempt_json(search, nearest=True),
+                "hottest": _attempt_json(search, nearest=False),
             }
             for search in searches
         ],
     }
 
 
-def _attempt(search: Hunted, nearest: bool) -> dict[str, object]:
+def _attempt_json(search: SearchResult, nearest: bool) -> dict[str, object]:
     """Return the attempt nearest to its bound, or the hottest one, as JSON takes it."""
     attempt = search.nearest if nearest else search.hottest
     return {

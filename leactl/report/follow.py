@@ -17,7 +17,7 @@ import numpy as np
 
 from leactl.quantities import ChannelSpec
 from leactl.report.run_progress import PATIENCE_S
-from leactl.report.run_tail import RowPrinter
+from leactl.report.run_tail import RowFormatter
 from leactl.report.terminal import encoding_of_stdout
 from leactl.runfile.read.tail import StreamRows
 from leactl.runfile.read.traces import chosen_channels
@@ -104,7 +104,7 @@ class Follower:
         self._sampler, self._interval_s, self._as_json = sampler, interval_s, as_json
         self._output, self._encoding = os.dup(sys.stdout.fileno()), encoding_of_stdout()
         columns = os.get_terminal_size(self._output).columns if os.isatty(self._output) else 0
-        self._printer = RowPrinter(columns or None)
+        self._formatter = RowFormatter(columns or None)
         self.stdout_error: OSError | None = None  # why stdout takes no more lines
         self._printing_fault = ""  # an unexpected error of the printing thread; empty without one
         self.printed_warnings: list[str] = []  # on stderr
@@ -151,10 +151,10 @@ class Follower:
             (row,) = rows.as_json()
             lines = [json.dumps({"event": "reading", "time_s": round(row["time_s"], 6), "values": row["values"]})]
         else:
-            lines = list(self._printer.lines(rows))
+            lines = list(self._formatter.lines(rows))
         self._write("".join(f"{line}\n" for line in lines))
-        if left_out := self._printer.left_out.get(rows.stream):  # empty where JSON is printed
-            self._warn(f"no room for {', '.join(left_out)}: choose by --channel, or widen the terminal")
+        if omitted_channels := self._formatter.omitted_channels.get(rows.stream):  # empty where JSON is printed
+            self._warn(f"no room for {', '.join(omitted_channels)}: choose by --channel, or widen the terminal")
         sampled_s = float(rows.time[0])  # not progress.time_s: writing the line may have taken long
         for text in [*progress.warnings, *self._sampler.newly_silent(sampled_s, self._interval_s)]:
             self._warn(f"warning: {text}")

@@ -17,11 +17,11 @@ def check_files(files: Sequence[Path], inputs: Sequence[Path], other_faults: Seq
 
     Raises
     ------
-    InputError : a file is an input or no plain file, is named twice, or its folder is absent or cannot be written to.
+    InputError : a file is an input, not a plain file, or named twice, or its folder is absent or cannot be written to.
     """
     input_files = {path.resolve() for path in inputs}
     faults = [f"{path}: is an input; name another file" for path in files if path.resolve() in input_files]
-    faults += [f"{path}: {reason}" for path in files if (reason := _reason_against(path))]
+    faults += [f"{path}: {reason}" for path in files if (reason := _output_fault(path))]
     resolved_paths = [path.resolve() for path in files]
     repeated_files = {path for path in files if resolved_paths.count(path.resolve()) > 1}
     faults += [f"{path}: is named for two outputs; give each a file of its own" for path in sorted(repeated_files)]
@@ -30,7 +30,7 @@ def check_files(files: Sequence[Path], inputs: Sequence[Path], other_faults: Seq
         raise InputError(faults)
 
 
-def _reason_against(path: Path) -> str:
+def _output_fault(path: Path) -> str:
     """Return the reason why an output file cannot be written; empty if there is none."""
     try:
         if path.exists() and not path.is_file():

@@ -21,8 +21,8 @@ LEAST_WIDTH_FOR_FULL = 40  # characters of a terminal; in a narrower one, rows h
 TIME_HEADING = "time s"
 
 
-class RowPrinter:
-    """A formatter of rows of several streams; a heading comes before the first row and at each change of stream."""
+class RowFormatter:
+    """Formats rows of several streams as lines; a heading comes before the first row and at each change of stream."""
 
     def __init__(self, terminal_width: int | None) -> None:
         """Set the width of the terminal in characters, or None for lines of any length."""
@@ -30,7 +30,7 @@ class RowPrinter:
         self._precision = (
             NARROW_PRECISION if terminal_width is not None and terminal_width < LEAST_WIDTH_FOR_FULL else FULL_PRECISION
         )
-        self.left_out: dict[str, tuple[str, ...]] = {}  # by stream: channels that do not fit into the terminal
+        self.omitted_channels: dict[str, tuple[str, ...]] = {}  # by stream: channels that do not fit into the terminal
 
     def lines(self, rows: StreamRows) -> Iterator[str]:
         """Yield a line for each row; before them, if the stream has changed, its name and the names of its columns.
@@ -42,7 +42,7 @@ class RowPrinter:
         decimals, digits, time_width, _ = self._precision
         headings = [f"{name} {unit}".rstrip() for name, unit in zip(rows.names, rows.units, strict=True)]
         widths = self._shown_widths(headings)
-        self.left_out[rows.stream] = rows.names[len(widths) :]
+        self.omitted_channels[rows.stream] = rows.names[len(widths) :]
         if rows.stream != self._stream:
             self._stream = rows.stream
             yield f"# {rows.stream}"[: self._terminal_width]

@@ -67,7 +67,7 @@ def _misfit(limit: Acceptance, experiment: str, results: Mapping[str, str]) -> t
 
 
 def judge_outcome(plan: Plan, outcome: "Outcome") -> tuple[list[dict[str, Any]], list[str]]:
-    """Return a row for every limit of a run, and a line for each unmet one.
+    """Return a row for every limit of a run, and a line for each unmet limit.
 
     If the run failed, the rows are those of limits on channels and searches, and there are no lines.
     """
@@ -102,14 +102,14 @@ def judge_run_file(plan: Plan, run: Path) -> tuple[list[dict[str, Any]], list[st
     return [row for row, _line in judgements], [*unmet, *(f"acceptance: {line}" for _row, line in judgements if line)]
 
 
-def _judgement(limit: Acceptance, analysed: "Result | InputError") -> tuple[dict[str, Any], str]:
+def _judgement(limit: Acceptance, analysis: "Result | InputError") -> tuple[dict[str, Any], str]:
     """Return the row of a limit, in the unit of the limit if possible, and why it is unmet, or an empty string."""
     row: dict[str, Any] = {"result": limit.result, "value": None, "units": limit.unit, "met": False}
     bounds = f"{limit.low:g} to {limit.high:g} was required"
     try:
-        if isinstance(analysed, InputError):
-            raise analysed
-        result = analysed.find(limit.result)
+        if isinstance(analysis, InputError):
+            raise analysis
+        result = analysis.find(limit.result)
     except InputError as fault:
         return row, f"{limit.result} is not known, {bounds}: {fault}"
     factor = _factor(result.units, limit.unit)

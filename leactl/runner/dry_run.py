@@ -120,4 +120,4 @@ def dry_run(request: Request) -> DryRun:
         warnings.append(f"{fault}; see: leactl doctor")
     planned_size, forecast = room_needed(request, bench), windings.forecast(plan)
     one_sensor_texts = windings_without_second_sensor(plan, bench)
-    return DryRun(plan, planned_size, windings, forecast, admitted.supplies_left_on, warnings, one_sensor_texts)
+    return DryRun(plan, planned_size, windings, forecast, admitted.supply_summaries, warnings, one_sensor_texts)

@@ -28,7 +28,7 @@ class Admitted(NamedTuple):
     request: Request  # with the plan that the windings allow
     bench: Bench
     supervisor: Supervisor
-    supplies_left_on: Sequence[str]  # the consequence for each, if nobody switches it off
+    supply_summaries: Sequence[str]  # the consequence for each, if nobody switches it off
 
 
 def admit(request: Request, windings: Windings) -> Admitted:

@@ -51,7 +51,7 @@ def info_of(request: Request, opened_bench: Bench) -> RunInfo:
 
 
 def introduce(
-    request: Request, windings: Windings, writer: RunWriter, bench: Bench, supplies_left_on: Sequence[str]
+    request: Request, windings: Windings, writer: RunWriter, bench: Bench, supply_summaries: Sequence[str]
 ) -> None:
     """Record what is not in the stored YAML texts: campaign, parameters, overdue calibration, seed, warm windings."""
     for name, value in request.part_of.items():
@@ -76,7 +76,7 @@ def introduce(
         writer.event(0.0, "info", "emulation", f"seed = {seed}")
     for line in windings_without_second_sensor(request.plan, bench):
         writer.event(0.0, "info", "windings", line)
-    for line in supplies_left_on:
+    for line in supply_summaries:
         writer.event(0.0, "info", "supplies", line)
     for role, recalled in windings.recalled.items():
         writer.event(0.0, "info", "windings", f"{role} winding: {recalled.known}, at most {recalled.nodes[0]:.1f} degC")

@@ -40,7 +40,7 @@ from leactl.runner.thermal_admission import Windings
 from leactl.runner.watchdog import NoWatchdog, started_watchdog
 from leactl.safety.supervisor import Supervisor
 
-Watch = Callable[[Progress], AbstractContextManager[object]]
+ViewFactory = Callable[[Progress], AbstractContextManager[object]]
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,9 @@ class RunContext:
     watchdog: NoWatchdog  # or a `Watchdog`, derived from it, if the run keeps wall time
     latch: Latch | OpenLatch  # set by a trip
     control: RunControl
-    watch: Watch
+    watch: ViewFactory
     announcement: Announcement
-    supplies_left_on: Sequence[str]  # the consequence for each, if nobody switches it off
+    supply_summaries: Sequence[str]  # the consequence for each, if nobody switches it off
 
 
 class SafeEnd(NamedTuple):
@@ -70,7 +70,7 @@ class SafeEnd(NamedTuple):
 def execute(
     request: Request,
     operator: OperatorPrompt,
-    watch: Watch,
+    watch: ViewFactory,
     stops: Sequence[StopSource] = (),
     pauses: Sequence[Callable[[], bool]] = (),
 ) -> Outcome:
@@ -107,13 +107,13 @@ def execute(
             ) as announcement,
         ):
             windings = Windings(request.bench, request.devices, request.actuator, request.in_process, request.cold)
-            request, bench, supervisor, supplies_left_on = admit(request, windings)
+            request, bench, supervisor, supply_summaries = admit(request, windings)
             for source in (announcement.stop_cause, *stops):
                 stop.add_source(source)
             with windings.remembered(before_writing=announcement.renew):
                 bench.open()
                 try:
-                    operator_input = OperatorInput(partial(_pause_wanted, announcement, pauses), announcement.remarks)
+                    operator_input = OperatorInput(partial(_toggle_pause, announcement, pauses), announcement.remarks)
                     control = RunControl(stop, operator_input, operator)
                     outcome = _run(
                         RunContext(
@@ -126,7 +126,7 @@ def execute(
                             control,
                             watch,
                             announcement,
-                            supplies_left_on,
+                            supply_summaries,
                         )
                     )
                 finally:
@@ -204,7 +204,7 @@ def _run_loop(context: RunContext, recording: Recording, loop: Loop) -> BaseExce
     """Record what is known before the first cycle and run the loop; return what ended it early."""
     request, bench, writer, progress = context.request, context.bench, recording.writer, recording.progress
     try:
-        introduce(request, context.windings, writer, bench, context.supplies_left_on)
+        introduce(request, context.windings, writer, bench, context.supply_summaries)
         warn_of_bench(request, writer, bench, progress)
         if context.announcement.fault:
             writer.event(0.0, "warning", "runner", context.announcement.fault)
@@ -295,8 +295,8 @@ def _record_verdicts(
     return verdicts
 
 
-def _pause_wanted(announcement: Announcement, pauses: Sequence[Callable[[], bool]]) -> bool:
-    """Return whether a pause is wanted, after each key pressed since the last call has toggled the pause.
+def _toggle_pause(announcement: Announcement, pauses: Sequence[Callable[[], bool]]) -> bool:
+    """Toggle the pause for each key pressed since the last call; return whether the run has to pause.
 
     `leactl bench pause` and `resume` set the same pause.
     """
@@ -307,7 +307,7 @@ def _pause_wanted(announcement: Announcement, pauses: Sequence[Callable[[], bool
 
 
 @contextmanager
-def _view_of(watch: Watch, progress: Progress) -> Iterator[None]:
+def _view_of(watch: ViewFactory, progress: Progress) -> Iterator[None]:
     """Show a run until the block is left; the failure of a view is noted, and is never an error of the run."""
     view = ExitStack()
     try:

@@ -48,8 +48,8 @@ class Columns:
     requested : names, or indices from 0, of columns of numbers; None reads every column as text. Names that the header
         lacks are left out.
     labels : names, or indices from 0, of columns that are read as text.
-    options : prefix of the names of settings in messages, such as `csv.`; empty if the user cannot set them.
-    every_row : whether rows without any value count.
+    settings_prefix : prefix of the names of settings in messages, such as `csv.`; empty if the user cannot set them.
+    every_row : whether rows without any value are read.
     strict : whether a cell that begins with a quote has to end with one.
     most_bytes : largest size of the file; None for no limit.
     most_rows : number of rows after which reading ends; None for no limit.
@@ -71,7 +71,7 @@ class Columns:
         requested: Sequence[str | int] | None,
         labels: Sequence[str | int] = (),
         *,
-        options: str = "",
+        settings_prefix: str = "",
         every_row: bool = True,
         strict: bool = False,
         most_bytes: int | None = None,
@@ -79,8 +79,8 @@ class Columns:
         most_faults: int = MOST_FAULTS,
     ) -> None:
         self.path = path
-        self.names: list[str] = []
-        self.lines = array("q")
+        self.names: list[str] = []  # cells of the header
+        self.lines = array("q")  # line number of each row
         self._columns: dict[int, list[str] | array[float]] = {}  # by index
         self._labels: dict[int, list[str]] = {}  # by index
         self._faults: list[str] = []
@@ -88,9 +88,11 @@ class Columns:
         self._missing = frozenset(form.missing)
         self._decimal = form.decimal
         self._format = NumberFormat(form.decimal, form.thousands)
-        self._advice = f"; if it marks a missed sample, add it to {options}missing" if options else ""
+        self._advice = f"; if it marks a missed sample, add it to {settings_prefix}missing" if settings_prefix else ""
         first_line, comment, width = form.data_line or form.header_line + 1, form.comment, 0
-        with open_text(path, form.encoding, most_bytes, f"; {options}encoding decides" if options else "") as file:
+        with open_text(
+            path, form.encoding, most_bytes, f"; {settings_prefix}encoding decides" if settings_prefix else ""
+        ) as file:
             for line, cells in rows_of(path, file, form.delimiter, strict):
                 if line == form.header_line:
                     self.names = [cell.strip() for cell in cells]
@@ -134,8 +136,8 @@ class Columns:
     def _append_row(self, line: int, cells: list[str]) -> None:
         """Append the cells of a row to the columns.
 
-        A cell that is no number becomes NaN and a fault, or makes a column of text of a column that it begins
-        (`has_text`).
+        A cell that is no number becomes NaN and a fault. If it is the first cell of its column and `has_text` is set,
+        the column becomes text instead.
         """
         self.lines.append(line)
         for index, column in self._columns.items():

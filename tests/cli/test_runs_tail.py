@@ -12,7 +12,7 @@ import pytest
 
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
-from leactl.report.run_tail import RowPrinter
+from leactl.report.run_tail import RowFormatter
 from leactl.runfile.read.reader import Run
 from leactl.runfile.read.tail import RunTail, StreamRows
 from leactl.runfile.write.run_info import RunInfo
@@ -196,9 +196,9 @@ def test_ctrl_c_ends_it_and_the_run_goes_on(writer, path):
 
 def test_a_narrow_terminal_shows_what_has_room_and_says_what_has_not(path):
     (rows,) = RunTail(path, [], 2).read()
-    printer = RowPrinter(30)
-    assert [len(line) <= 30 for line in printer.lines(rows)] == [True] * 4
-    assert printer.left_out == {"loop": ("torque",)}
+    formatter = RowFormatter(30)
+    assert [len(line) <= 30 for line in formatter.lines(rows)] == [True] * 4
+    assert formatter.omitted_channels == {"loop": ("torque",)}
 
 
 @pytest.mark.parametrize("columns", [20, 40, 80])
@@ -206,11 +206,11 @@ def test_no_line_is_wider_than_the_terminal_and_no_two_columns_touch(columns):
     names = ("load_theta_ref", *(f"iq{index}" for index in range(9)))
     widest = -1.234567e-05
     rows = StreamRows("thermometers_of_the_housing", names, ("A",) * 10, np.array([3599.125]), np.full((1, 10), widest))
-    printer = RowPrinter(columns)
-    _, heading, line = shown = list(printer.lines(rows))
+    formatter = RowFormatter(columns)
+    _, heading, line = shown = list(formatter.lines(rows))
     assert all(len(text) <= columns for text in shown)
     cells = line.split()
-    assert len(cells) == 1 + len(names) - len(printer.left_out[rows.stream])
+    assert len(cells) == 1 + len(names) - len(formatter.omitted_channels[rows.stream])
     assert [float(cell) for cell in cells] == pytest.approx([3599.125, *[widest] * (len(cells) - 1)], rel=1e-3)
     assert heading.split()[3].startswith("load_theta")
 

@@ -400,7 +400,7 @@ def test_presets_are_kept_and_run():
 
 @given(st.one_of(st.binary(max_size=20), st.from_regex(rb"[0-9]{5,10}\nOK", fullmatch=True)))
 def test_an_answer_is_read_or_refused_never_anything_else(answer):
-    for read, digits in ((replies.parse_done, 0), (replies.parse_levels, 6), (replies.parse_display, 9)):
+    for read, digits in ((replies.parse_confirmation, 0), (replies.parse_levels, 6), (replies.parse_display, 9)):
         try:
             read(answer)
         except Unreadable as error:

@@ -9,7 +9,7 @@ from leactl.quantities import ChannelSpec
 from leactl.safety.thermal.box import Box
 from leactl.safety.thermal.guard import ThermalGuard
 from leactl.safety.thermal.measured import MeasuredStreams
-from leactl.safety.thermal.resistance import LeadResistance
+from leactl.safety.thermal.resistance import ResistanceThermometer
 from tests.safety.guards import LEA, SETTINGS, guard_of
 
 CHANNELS = ("winding_temperature", "housing_temperature", "line_current")
@@ -68,8 +68,10 @@ def test_air_that_is_too_hot_for_one_of_two_actuators_trips():
 
 
 def test_a_resistance_is_told_once_it_has_lasted_a_second():
-    leads = LeadResistance(Box.of(LEA))
-    told = [leads.least(9.0 * lead_resistance(130.0), 9.0, now) for now in (0.0, 0.5, 0.75, 1.0, 1.25)]
+    thermometer = ResistanceThermometer(Box.of(LEA))
+    told = [
+        thermometer.lowest_temperature(9.0 * lead_resistance(130.0), 9.0, now) for now in (0.0, 0.5, 0.75, 1.0, 1.25)
+    ]
     assert [value == value for value in told] == [False, False, False, True, False]
 
 

@@ -23,7 +23,7 @@ VALUE_TOLERANCE = 0.01  # largest error of a reading, as a share of the largest 
 # flag that is off; 0.2 % of the smallest value of `BASES`
 ABSOLUTE_TOLERANCE = 1e-3
 LEAST_MEASURED_S = 5.0  # for a rise by RISE, so that a quantity changes by less than VALUE_TOLERANCE in MOST_DELAY_S
-LEAST_SAMPLES = 10  # of the slowest channel
+FEWEST_SAMPLES = 10  # of the slowest channel
 LONGEST_INTERVAL_S = 60.0  # between two samples of the slowest channel
 FEWEST_POLLS = 500  # calls of `take` in a measurement, unless they would be less than LEAST_POLL_S apart
 LEAST_POLL_S = 0.002  # shortest time between two calls of `take`
@@ -90,7 +90,7 @@ def measures_true_values(stand: Stand) -> None:
     """Every channel measures the quantity of its name, in its unit, at the time of its stamp, each sample once."""
     stand.driver.open()
     interval = longest_interval(stand)
-    seconds = max(LEAST_MEASURED_S, LEAST_SAMPLES * interval)
+    seconds = max(LEAST_MEASURED_S, FEWEST_SAMPLES * interval)
     stand.bench.rise(seconds, interval)
     began, poll_s = stand.clock.now(), max(LEAST_POLL_S, min(seconds / FEWEST_POLLS, 0.5 * MOST_DELAY_S))
     samples, row_times = take_samples(stand, seconds, poll_s)

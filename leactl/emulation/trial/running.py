@@ -15,7 +15,7 @@ from pathlib import Path
 from leactl.driver.contract import Driver, MotionDevice, PowerSupply
 from leactl.driver.file_records import BatchSource
 from leactl.emulation.trial import drives, lifetime, measuring, probing, supplies
-from leactl.emulation.trial.stand import Broken, Stand, example_of
+from leactl.emulation.trial.stand import Broken, Stand, example_settings
 from leactl.errors import InputError, LeactlError
 
 TRIAL_TIMEOUT_S = 10.0  # by the wall clock; a trial itself only waits by emulated time
@@ -51,7 +51,7 @@ def trials_of(driver: type[Driver], folder: Path) -> tuple[Trial, ...]:
     InputError : the driver's `example` does not suit its `Settings`, or it has no far end.
     """
     try:
-        example_of(driver, folder)
+        example_settings(driver, folder)
     except ValueError as error:
         raise InputError(f"its `example` is no settings of one: {' '.join(str(error).split())}") from None
     stand = Stand(driver, folder)

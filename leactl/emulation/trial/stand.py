@@ -27,36 +27,36 @@ class Broken(Exception):
 
 
 class Stand:
-    """A driver, not yet open, and its far end at the other end of the wire."""
+    """A driver, not yet open, and the far end that it talks to."""
 
-    def __init__(self, driver: type[Driver], folder: Path) -> None:
+    def __init__(self, driver_class: type[Driver], folder: Path) -> None:
         self.clock = EmulatedClock()
         self.bench = KnownBench(self.clock)
-        self.settings = example_of(driver, folder)
-        far_end: Any = driver.far_end(self.settings, ROLE, self.bench)
+        self.settings = example_settings(driver_class, folder)
+        far_end: Any = driver_class.far_end(self.settings, ROLE, self.bench)
         self._wire: Any = None
         self._connect: Any = None
         self._make_port: Callable[[], Any] = lambda: far_end
-        if driver.transport == "can":
+        if driver_class.transport == "can":
             wire = self._wire = CanWire(self.clock)
             wire.attach(far_end)
             self._connect = lambda: EmulatedCanBus(wire)
             self._make_port = lambda: CanPort(self._connect, self.clock)
-        elif driver.transport == "i2c":
+        elif driver_class.transport == "i2c":
             address, far_end = far_end
             bus = self._wire = EmulatedI2cBus(self.clock)
             bus.devices[address] = far_end
             self._connect = lambda: bus
             self._make_port = lambda: I2cPort(self._connect)
-        elif driver.transport == "serial":
-            line = self._wire = SerialWire(self.clock, BITS_PER_BYTE / driver.baudrate)
+        elif driver_class.transport == "serial":
+            line = self._wire = SerialWire(self.clock, BITS_PER_BYTE / driver_class.baudrate)
             line.device = far_end
             self._connect = lambda: EmulatedSerialLine(line)
             self._make_port = lambda: SerialPort(self._connect, self.clock)
         else:
             self.clock.follow(far_end.tick)
             self.clock.stop_at(lambda: far_end.due)
-        self.far_end, self._driver_class = far_end, driver
+        self.far_end, self._driver_class = far_end, driver_class
         self.renew_driver()
 
     def renew_driver(self) -> None:
@@ -134,9 +134,9 @@ class Stand:
         return math.nan
 
 
-def example_of(driver: type[Driver], folder: Path) -> Any:
+def example_settings(driver_class: type[Driver], folder: Path) -> Any:
     """Return the settings of the driver's `example`; files that a program exports are expected in `folder`."""
-    values: dict[str, Any] = dict(driver.example)
-    if "exports_folder" in driver.Settings.model_fields:
+    values: dict[str, Any] = dict(driver_class.example)
+    if "exports_folder" in driver_class.Settings.model_fields:
         values["exports_folder"] = str(folder)
-    return driver.Settings.model_validate(values)
+    return driver_class.Settings.model_validate(values)

@@ -38,7 +38,7 @@ class Attempt:
 
 
 @dataclass(frozen=True)
-class Hunted:
+class SearchResult:
     """Result of a search on one motor at one rate."""
 
     role: str
@@ -63,7 +63,7 @@ def hunt(
     seed: int = 0,
     guard_of: Callable[..., ThermalGuard] = ThermalGuard,
     optimiser: str = "changes",
-) -> Hunted:
+) -> SearchResult:
     """Search for `seconds`, or for one attempt if it takes longer; return the nearest and the hottest attempt.
 
     Parameters
@@ -85,7 +85,7 @@ def hunt(
         count += 1
         nearest = attempt if attempt.over_k > nearest.over_k else nearest
         hottest = attempt if attempt.peak > hottest.peak else hottest
-    return Hunted(role, rate_hz, reading, count, nearest, hottest)
+    return SearchResult(role, rate_hz, reading, count, nearest, hottest)
 
 
 def run_attempt(

@@ -10,7 +10,7 @@ from functools import partial
 from leactl.driver.contract import Row, SampleBlock, StreamSpec
 from leactl.safety.limits import LEADS
 from leactl.safety.thermal.guard import ThermalGuard
-from leactl.safety.thermal.resistance import LeadResistance
+from leactl.safety.thermal.resistance import ResistanceThermometer
 from leactl.safety.thermal.temperature_bound import HOUSING
 
 SENSOR_ERROR_K = 5.0  # a camera or a thermistor may read too high by as much
@@ -92,7 +92,9 @@ class MeasuredStreams:
         for role in self._guard.roles:
             voltage, current = indices.get((role, "line_voltage")), indices.get((role, "line_current"))
             if voltage is not None and current is not None:
-                yield partial(self._compare_resistance, role, voltage, current, LeadResistance(self._guard.boxes[role]))
+                yield partial(
+                    self._compare_resistance, role, voltage, current, ResistanceThermometer(self._guard.boxes[role])
+                )
 
     def _compare_air(self, index: int, row: Row) -> None:
         """Trip if the air is measured hotter than the bench file's ambient, its tolerance and the sensor allow."""
@@ -112,12 +114,14 @@ class MeasuredStreams:
         """Trip if the housing is measured hotter than it can be."""
         self._compare(role, "housing is measured", row.values[index], float(self._guard.node_bounds[role][HOUSING]))
 
-    def _compare_resistance(self, role: str, voltage: int, current: int, leads: LeadResistance, row: Row) -> None:
+    def _compare_resistance(
+        self, role: str, voltage: int, current: int, thermometer: ResistanceThermometer, row: Row
+    ) -> None:
         """Trip if the winding is by its resistance hotter than its hottest phase can be.
 
         voltage, current : indices of the two among the values of a row.
         """
-        lowest_temperature = leads.least(row.values[voltage], row.values[current], row.time)
+        lowest_temperature = thermometer.lowest_temperature(row.values[voltage], row.values[current], row.time)
         self._compare(role, "winding is by its resistance", lowest_temperature, self._guard.hottest[role])
 
     def _compare(self, role: str, measured_part: str, reading: float, bound: float) -> None:

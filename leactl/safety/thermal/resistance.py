@@ -1,7 +1,8 @@
 """Lowest winding temperature that voltage over current at two leads allows.
 
-Copper gains resistance with temperature, and two leads of a star measure twice a phase. The highest resistance that the
-motor file's tolerances allow at the reference temperature gives the lowest temperature that such a reading can mean.
+Copper gains resistance with temperature, and two leads of a star measure twice a phase. The highest resistance at the
+reference temperature and the highest temperature coefficient within the motor file's tolerances give, above that
+temperature, the lowest temperature that such a reading can mean.
 """
 
 import math
@@ -13,7 +14,7 @@ LEAST_CURRENT_A = 1.0  # below, offsets are a large part of the current reading
 WINDOW_S = 1.0
 
 
-class LeadResistance:
+class ResistanceThermometer:
     """Lowest winding temperature by the resistance between two leads, window by window."""
 
     def __init__(self, box: Box) -> None:
@@ -24,11 +25,11 @@ class LeadResistance:
         )
         self._window_began, self._lowest_temperature = math.nan, math.inf
 
-    def least(self, voltage: float, current: float, now: float) -> float:
+    def lowest_temperature(self, voltage: float, current: float, now: float) -> float:
         """Take one reading [V, A, s]; return the lowest temperature that the readings of a window allow [degC].
 
-        Return NaN except at the end of each window of `WINDOW_S`. A current below `LEAST_CURRENT_A` or a reading that
-        is NaN ends the window early.
+        The result is NaN except at the end of a window of `WINDOW_S`. A current below `LEAST_CURRENT_A`, or a reading
+        that is NaN, discards the window.
         """
         if not abs(current) >= LEAST_CURRENT_A or voltage != voltage:
             self._window_began, self._lowest_temperature = math.nan, math.inf

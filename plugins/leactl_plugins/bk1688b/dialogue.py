@@ -52,11 +52,16 @@ class Bk1688bDialogue:
         """
         while True:
             yield b"\r"
-            yield from ask(Query(OFF, parser_of_last_lines(1, replies.parse_done), patient=True, last=OK))
+            yield from ask(Query(OFF, parser_of_last_lines(1, replies.parse_confirmation), patient=True, last=OK))
             self._last_mark = (self._last_mark + 1) % MARK_COUNT
             voltage_steps = round(LOWEST_VOLTAGE_V / STEP_V) + self._last_mark
             yield from ask(
-                Query(f"VOLT{voltage_steps:03d}", parser_of_last_lines(1, replies.parse_done), patient=True, last=OK)
+                Query(
+                    f"VOLT{voltage_steps:03d}",
+                    parser_of_last_lines(1, replies.parse_confirmation),
+                    patient=True,
+                    last=OK,
+                )
             )
             yield from ask(
                 Query("GETS", parser_of_last_lines(2, _parser_of_levels_at(voltage_steps)), patient=True, last=OK)
@@ -204,7 +209,7 @@ def _parser_of_levels_at(voltage_steps: int) -> Callable[[bytes], LevelCounts]:
 
 def _command_query(text: str) -> Query:
     """Return a query that sends a command and expects `OK`."""
-    return Query(text, replies.parse_done, last=OK)
+    return Query(text, replies.parse_confirmation, last=OK)
 
 
 def _display_text(display: Display) -> str:

@@ -25,7 +25,7 @@ KEYSIGHT_NUMBER = re.compile(r"[+-]\d\.\d{8}E[+-]\d\d", re.ASCII)  # every answe
 MAKE_INDEPENDENT = "set them independent at the instrument"
 
 
-class Level(NamedTuple):
+class SettingCommand(NamedTuple):
     """Command that sets a value, with `{}` in its place if the value varies, and query that reads it back."""
 
     command: str
@@ -36,8 +36,8 @@ class Protection(NamedTuple):
     """Commands and queries of one protection."""
 
     name: str
-    level: Level
-    switch: Level | None  # arms and disarms it; None: it is always armed
+    level: SettingCommand
+    switch: SettingCommand | None  # arms and disarms it; None: it is always armed
     tripped_query: str
 
 
@@ -52,8 +52,8 @@ class RequiredAnswer(NamedTuple):
 class ScpiDialect(NamedTuple):
     """Commands of one family of instruments for one output."""
 
-    voltage: Level
-    current: Level
+    voltage: SettingCommand
+    current: SettingCommand
     measure_voltage: str
     measure_current: str
     switch: str
@@ -66,7 +66,8 @@ class ScpiDialect(NamedTuple):
     remote: str = "SYST:REM"  # empty: there is no such command
     local: str = "SYST:LOC"
     required_answers: tuple[RequiredAnswer, ...] = ()
-    select: Level | None = None  # selects this output: a command that loses its channel list on the line acts on it
+    # selects this output: a command that loses its channel list on the line acts on it
+    select: SettingCommand | None = None
     set_range: str = ""  # empty: the family has no output ranges that can be set
     decimals: int = 4  # of a level in a command
     lowest_current: float = 0.0  # A, lowest level that can be set
@@ -86,15 +87,15 @@ def _e36xx(_model: str, _output: int) -> ScpiDialect:
     over_voltage, over_current = (
         Protection(
             name=name,
-            level=Level(f"{head} {{}}", f"{head}?"),
-            switch=Level(f"{head}:STAT {{}}", f"{head}:STAT?"),
+            level=SettingCommand(f"{head} {{}}", f"{head}?"),
+            switch=SettingCommand(f"{head}:STAT {{}}", f"{head}:STAT?"),
             tripped_query=f"{head}:TRIP?",
         )
         for name, head in ((OVER_VOLTAGE, "VOLT:PROT"), (OVER_CURRENT, "CURR:PROT"))
     )
     return ScpiDialect(
-        voltage=Level("VOLT {}", "VOLT?"),
-        current=Level("CURR {}", "CURR?"),
+        voltage=SettingCommand("VOLT {}", "VOLT?"),
+        current=SettingCommand("CURR {}", "CURR?"),
         measure_voltage="MEAS:VOLT?",
         measure_current="MEAS:CURR?",
         switch="OUTP {}",
@@ -127,11 +128,11 @@ def _e36300(model: str, output: int) -> ScpiDialect:
         RequiredAnswer(Query("OUTP:COUP:CHAN?", replies.parse_word), ("NONE",), coupling_refusal),
         RequiredAnswer(Query("OUTP:TRAC?", replies.parse_word), ("0",), coupling_refusal),
     ]
-    if model != "E36311A":  # whose outputs cannot be paired
+    if model != "E36311A":  # the outputs of an E36311A cannot be paired
         required_answers.append(RequiredAnswer(Query("OUTP:PAIR?", replies.parse_word), ("OFF",), coupling_refusal))
     return ScpiDialect(
-        voltage=Level(f"VOLT {{}},{channel_list}", f"VOLT? {channel_list}"),
-        current=Level(f"CURR {{}},{channel_list}", f"CURR? {channel_list}"),
+        voltage=SettingCommand(f"VOLT {{}},{channel_list}", f"VOLT? {channel_list}"),
+        current=SettingCommand(f"CURR {{}},{channel_list}", f"CURR? {channel_list}"),
         measure_voltage=f"MEAS:VOLT? {channel_list}",
         measure_current=f"MEAS:CURR? {channel_list}",
         switch=f"OUTP {{}},{channel_list}",
@@ -140,7 +141,7 @@ def _e36300(model: str, output: int) -> ScpiDialect:
         error=Query("SYST:ERR?", replies.parse_error_entry),
         over_voltage=Protection(
             name=OVER_VOLTAGE,
-            level=Level(f"VOLT:PROT {{}},{channel_list}", f"VOLT:PROT? {channel_list}"),
+            level=SettingCommand(f"VOLT:PROT {{}},{channel_list}", f"VOLT:PROT? {channel_list}"),
             switch=None,
             tripped_query=f"VOLT:PROT:TRIP? {channel_list}",
         ),
@@ -148,7 +149,7 @@ def _e36300(model: str, output: int) -> ScpiDialect:
         reading=KEYSIGHT_NUMBER,
         required_answers=tuple(required_answers),
         lowest_current=LOWEST_CURRENT_E36300,
-        select=Level(f"INST:NSEL {output}", "INST:NSEL?"),
+        select=SettingCommand(f"INST:NSEL {output}", "INST:NSEL?"),
         trip_accuracy=UNKNOWN_ACCURACY,
     )
 
@@ -162,8 +163,8 @@ def _dp800(model: str, output: int) -> ScpiDialect:
     over_voltage, over_current = (
         Protection(
             name=name,
-            level=Level(f"{head}:VAL {value_prefix}{{}}", f"{head}:VAL?{query_suffix}"),
-            switch=Level(f"{head} {value_prefix}{{}}", f"{head}?{query_suffix}"),
+            level=SettingCommand(f"{head}:VAL {value_prefix}{{}}", f"{head}:VAL?{query_suffix}"),
+            switch=SettingCommand(f"{head} {value_prefix}{{}}", f"{head}?{query_suffix}"),
             tripped_query=f"{head}:QUES?{query_suffix}",
         )
         for name, head in ((OVER_VOLTAGE, "OUTP:OVP"), (OVER_CURRENT, "OUTP:OCP"))
@@ -187,8 +188,8 @@ def _dp800(model: str, output: int) -> ScpiDialect:
             ),
         )
     return ScpiDialect(
-        voltage=Level(f"{source}VOLT {{}}", f"{source}VOLT?"),
-        current=Level(f"{source}CURR {{}}", f"{source}CURR?"),
+        voltage=SettingCommand(f"{source}VOLT {{}}", f"{source}VOLT?"),
+        current=SettingCommand(f"{source}CURR {{}}", f"{source}CURR?"),
         measure_voltage=f"MEAS:VOLT?{query_suffix}",
         measure_current=f"MEAS:CURR?{query_suffix}",
         switch=f"OUTP {value_prefix}{{}}",
@@ -212,8 +213,8 @@ def _spd3303(_model: str, output: int) -> ScpiDialect:
     """
     status = "SYSTem:STATus?"
     return ScpiDialect(
-        voltage=Level(f"CH{output}:VOLTage {{}}", f"CH{output}:VOLTage?"),
-        current=Level(f"CH{output}:CURRent {{}}", f"CH{output}:CURRent?"),
+        voltage=SettingCommand(f"CH{output}:VOLTage {{}}", f"CH{output}:VOLTage?"),
+        current=SettingCommand(f"CH{output}:CURRent {{}}", f"CH{output}:CURRent?"),
         measure_voltage=f"MEASure:VOLTage? CH{output}",
         measure_current=f"MEASure:CURRent? CH{output}",
         switch=f"OUTPut CH{output},{{}}",

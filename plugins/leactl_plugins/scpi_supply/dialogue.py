@@ -19,8 +19,8 @@ from leactl_plugins.scpi_supply.dialects import (
     OVER_CURRENT,
     OVER_VOLTAGE,
     RELATIVE_TOLERANCE,
-    Level,
     Protection,
+    SettingCommand,
 )
 from leactl_plugins.scpi_supply.replies import ErrorEntry, InstrumentIdentity
 from leactl_plugins.scpi_supply.settings import ScpiSupplySettings
@@ -325,7 +325,7 @@ class ScpiDialogue:
         if (yield from ask(Query(protection.tripped_query, replies.parse_boolean))):
             raise DeviceFault(f"{protection.name} has tripped; find out why, then clear it at the instrument")
 
-    def _write_level(self, level: Level, value: float) -> Script[float]:
+    def _write_level(self, level: SettingCommand, value: float) -> Script[float]:
         """Write a level [V or A], read it back, and return the time of the reading [s].
 
         Raises

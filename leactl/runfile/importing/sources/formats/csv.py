@@ -42,7 +42,12 @@ class CsvSource(Columns):
         requested = None if request.columns is None else [column.name for column in request.columns]
         labels = [column.name for column in request.labels]
         super().__init__(
-            path, form, requested, labels, options="csv.", most_rows=SURVEYED_ROWS if requested is None else None
+            path,
+            form,
+            requested,
+            labels,
+            settings_prefix="csv.",
+            most_rows=SURVEYED_ROWS if requested is None else None,
         )
         if not self.lines:
             raise InputError(f"{path}: no row of numbers after line {(form.data_line or form.header_line + 1) - 1}")
