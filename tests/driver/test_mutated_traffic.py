@@ -15,7 +15,7 @@ from leactl.driver import registry
 from leactl.driver.contract import SAFE_STATE_S, Confirmation, MotionDevice, PowerSupply, Row
 from leactl.emulation.trial import drives, supplies
 from leactl.emulation.trial.known_bench import LOAD_OHM
-from leactl.emulation.trial.measuring import MACHINE_QUANTITIES, RECORDED_S
+from leactl.emulation.trial.measuring_devices import MACHINE_QUANTITIES, RECORDED_S
 from leactl.emulation.trial.stand import ANSWER_S, PERIOD_S, Stand
 from leactl.errors import DeviceError, InputError
 

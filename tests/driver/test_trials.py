@@ -21,7 +21,7 @@ from leactl_plugins.scpi_supply.driver import ScpiSupply
 from leactl.driver import conformance, registry
 from leactl.driver.contract import Confirmation, Driver, DriverSettings, Identity, Mode
 from leactl.driver.probe import Sighting
-from leactl.emulation.trial import measuring, probing, running
+from leactl.emulation.trial import measuring_devices, probing, running
 from leactl.emulation.trial.known_bench import BASES, RISE
 from leactl.emulation.trial.running import run_in_this_process, trial_name, try_driver
 from leactl.emulation.trial.stand import Broken
@@ -499,7 +499,7 @@ class ReadsAFlag(Ads1115):
 
 
 def test_a_flag_that_is_only_read_while_it_switches_is_told(monkeypatch, tmp_path):
-    whole = measuring.take_samples
+    whole = measuring_devices.take_samples
 
     def around_the_switch(stand, *arguments):
         samples, moments = whole(stand, *arguments)
@@ -509,16 +509,16 @@ def test_a_flag_that_is_only_read_while_it_switches_is_told(monkeypatch, tmp_pat
             samples = {name: (t[near[name]], values[near[name]]) for name, (t, values) in samples.items()}
         return samples, moments
 
-    monkeypatch.setattr(measuring, "take_samples", around_the_switch)
-    fault = run_in_this_process(measuring.measures_true_values, ReadsAFlag, tmp_path)
+    monkeypatch.setattr(measuring_devices, "take_samples", around_the_switch)
+    fault = run_in_this_process(measuring_devices.measures_true_values, ReadsAFlag, tmp_path)
     assert fault == "torque: all samples come less than 0.1 s before the flag switches"
 
 
 def test_a_display_s_steps_are_allowed_for_and_readings_that_are_kept_are_not():
     true = BASES["torque"] * (1.0 + RISE * np.arange(100) / 100)
-    measuring.expect_true_values("torque", np.round(true, 1), true)
+    measuring_devices.expect_true_values("torque", np.round(true, 1), true)
     with pytest.raises(Broken, match="torque reads"):
-        measuring.expect_true_values("torque", np.repeat(true[::20], 20), true)
+        measuring_devices.expect_true_values("torque", np.repeat(true[::20], 20), true)
 
 
 class OffByOne(ElmoProbe):

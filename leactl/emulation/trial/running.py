@@ -14,7 +14,7 @@ from pathlib import Path
 
 from leactl.driver.contract import Driver, MotionDevice, PowerSupply
 from leactl.driver.file_records import BatchSource
-from leactl.emulation.trial import drives, lifetime, measuring, probing, supplies
+from leactl.emulation.trial import drives, lifetime, measuring_devices, probing, supplies
 from leactl.emulation.trial.stand import Broken, Stand, example_settings
 from leactl.errors import InputError, LeactlError
 
@@ -71,9 +71,9 @@ def _trials_of_kind(stand: Stand) -> tuple[Trial, ...]:
     if isinstance(stand.driver, PowerSupply):
         return supplies.TRIALS
     if isinstance(stand.driver, BatchSource):
-        return measuring.RECORD_TRIALS
-    cable_trials = () if stand.driver.transport == "none" else measuring.CABLE_TRIALS
-    return (*measuring.STREAM_TRIALS, *cable_trials)
+        return measuring_devices.RECORD_TRIALS
+    cable_trials = () if stand.driver.transport == "none" else measuring_devices.CABLE_TRIALS
+    return (*measuring_devices.STREAM_TRIALS, *cable_trials)
 
 
 def trial_name(trial: Trial) -> str:
