@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from leactl.effects import library
-from leactl.gap.replay import replay
+from leactl.gap.replay import replay, replay_all
+from leactl.gap.replay.bench_of_model import plant_of
+from leactl.gap.replay.job import Job
 from leactl.vocabulary.effect import effect_definition
 from tests.gap.synthetic import INTERVAL_S, model, record
 
@@ -131,6 +133,16 @@ def test_faults_of_one_sensor_follow_each_other():
     plain = replayed("locked")[TORQUE]
     both = replayed("locked", ("torque_sensor_gain", {"gain": 1.1}), ("torque_sensor_offset", {"offset": 0.3}))[TORQUE]
     assert both[2:] == pytest.approx(1.1 * plain[2:] + 0.3, abs=1e-9)
+
+
+def test_a_torque_sensor_feels_the_housing_s_temperature():
+    felt = []
+    plant = plant_of(model())
+    plant.torque_reading.append(lambda run, reading: felt.append(run.housing) or reading)
+    job = Job(run_of("locked"), plant)
+    replay_all([job])
+    assert felt[0] == pytest.approx(60.0, abs=5.0)  # degC, at which the run begins
+    assert len(felt[0]) == (len(job.clock.time) - 1) * job.parts + 1
 
 
 def test_a_pair_on_two_channels_is_the_sum_of_its_members():

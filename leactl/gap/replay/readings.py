@@ -7,7 +7,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from leactl.effects.plant import Array, Becomes, Course
-from leactl.gap.replay.drive import means_over_samples
+from leactl.gap.replay.drive import interpolate_steps, means_over_samples
 from leactl.gap.replay.heat import resistance_share
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.time_steps import FILTER_MEMORY, samples
@@ -143,7 +143,8 @@ def replayed_torque(job: Job) -> Array:
     instant_count = (len(job.clock.time) - 1) * job.parts + 1
     reading: Array = job.torque[:instant_count]
     time = np.arange(instant_count, dtype=np.float64) * job.step
-    course = Course(time, job.step, job.angle[:instant_count], reading)
+    housing = interpolate_steps(job.course().housing, job.parts)
+    course = Course(time, job.step, job.angle[:instant_count], housing)
     for reading_of in job.plant.torque_reading:
         reading = reading_of(course, reading)
     bandwidth = job.plant.model.bench.torque_filter_bandwidth
