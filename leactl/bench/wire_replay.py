@@ -306,7 +306,11 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
     lines = read_trace(path)
     bus_devices = [device for device in devices if device.entry.bus]
     buses = sorted({device.entry.bus or "" for device in bus_devices})
-    expect_can_frames(path, lines, [name for name in buses if isinstance(file.buses[name], CanBus)])
+    callers = {line.owner for line in lines if line.kind == CALLED}
+    called_buses = {device.entry.bus for device in bus_devices if device.name in callers} | callers
+    expect_can_frames(
+        path, lines, [name for name in buses if isinstance(file.buses[name], CanBus) and name in called_buses]
+    )
     left_out = {device.name for device in devices} - {device.name for device in bus_devices}
     expect_calls(path, lines, left_out)
     wiring = ReplayWiring(lines, buses)

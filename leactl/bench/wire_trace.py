@@ -14,9 +14,10 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
-from leactl.bench.benchfile import CanBus, I2cBus, LineBus
+from leactl.bench.bench import Bench
+from leactl.bench.benchfile import BenchFile, CanBus, CheckedDevice, I2cBus, LineBus
 from leactl.bench.wiring import Wiring
-from leactl.driver.contract import Confirmation, Row, SampleBlock
+from leactl.driver.contract import Confirmation, OwnRecording, Row, SampleBlock
 from leactl.driver.i2c_port import SmBus, swap_bytes
 from leactl.driver.serial_port import SerialLine
 from leactl.errors import InputError
@@ -47,6 +48,7 @@ CALLS = (  # methods of a driver that are traced; these calls and its input dete
     "take",
     "notices",
     "tare",
+    "recorded",
     "supply",
     "protect",
     "switch_on",
@@ -221,6 +223,8 @@ def outcome_text(result: Any, error: BaseException | None = None) -> str:
         return json.dumps({"safe": result.safe})
     if isinstance(result, Mapping):  # of a tare
         return json.dumps({name: float(value) for name, value in result.items()})
+    if isinstance(result, OwnRecording):
+        return json.dumps([*result.headings, result.interval, len(result.values), zlib.crc32(result.values.tobytes())])
     if isinstance(result, list | tuple):
         return json.dumps([_reproducible(item) for item in result])
     return "null"
@@ -413,6 +417,17 @@ def _parse_lines(path: Path, lines: Sequence[str]) -> Iterator[TraceLine]:
         if kind == FAILED:
             text = re.sub(r"\\(.)", lambda escaped: "\n" if escaped[1] == "n" else escaped[1], text)
         yield TraceLine(number, seconds, owner, kind, text)
+
+
+def bench_with_trace(
+    file: BenchFile, devices: Sequence[CheckedDevice], wiring: Wiring, trace: WireTrace | None
+) -> Bench:
+    """Return a bench with closed devices, whose wires and calls go through a trace if there is one."""
+    if trace is None:
+        return Bench(file, devices, wiring)
+    bench = Bench(file, devices, TracedWiring(wiring, trace))
+    bench.pass_calls_through(trace.trace_calls, CALLS)
+    return bench
 
 
 def expect_calls(path: Path, lines: Sequence[TraceLine], left_out: Container[str]) -> None:

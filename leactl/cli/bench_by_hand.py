@@ -380,6 +380,7 @@ def recording(
     bench: str = BENCH,
     out: Path = typer.Option(..., "--out", help="New file for the recording."),
     bus: list[str] = BUS,
+    trace: Path | None = TRACE,
     as_json: bool = AS_JSON,
 ) -> None:
     """Save what a drive's own recorder holds as a text table, for `leactl runs attach`; the drive is off meanwhile."""
@@ -387,7 +388,8 @@ def recording(
     from leactl.runner.own_recording import save_recording
 
     check_files([out], [])
-    saved = save_recording(bench, device, out, bus)
+    with traced_to(trace) as wire_trace:
+        saved = save_recording(bench, device, out, bus, wire_trace)
     if as_json:
         answer = {"file": str(saved.file), "columns": saved.headings, "rows": saved.rows, "interval_s": saved.interval}
         typer.echo(json.dumps(answer))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from leactl.cli import finite
+from leactl.cli import TRACE, finite, traced_to
 from leactl.cli.completion import complete_bench, complete_motor, complete_protocol, complete_setting
 from leactl.cli.helptext import ON_A_BENCH, examples, group_of_commands
 from leactl.cli.run import ATTENDED
@@ -199,6 +199,7 @@ def commission(
     bus: list[str] = typer.Option([], metavar="NAME=INTERFACE:CHANNEL", help="Put a bus elsewhere."),
     cold: bool = COLD,
     attended: bool = ATTENDED,
+    trace: Path | None = TRACE,
     dry_run: bool = typer.Option(
         False, "--dry-run", help="Narrow by the runs given, say what the next one would be, and move nothing."
     ),
@@ -228,11 +229,12 @@ def commission(
         unchanged = [word for word in overrides if word.partition("=")[0] not in changes]
         assignments = [*unchanged, *(f"{name}={value}" for name, value in changes.items())]
         request = prepare(protocol, bench, assignments, actuator, condition, operator, out, realtime, served, bus)
-        return replace(request, plan=replace(request.plan, attended=attended or request.plan.attended))
+        attended_plan = replace(request.plan, attended=attended or request.plan.attended)
+        return replace(request, plan=attended_plan, trace=wire_trace)
 
     accuracy = Accuracy(camera_gain, camera_offset, current_repeats)
     options = CommissionOptions(request_with, perform, _tell, runs, given, accuracy, cold, dry_run)
-    with signals_kept_to_the_end():
+    with traced_to(None if dry_run else trace) as wire_trace, signals_kept_to_the_end():
         commissioning = commissioned(options, motor_file)
     body = commissioned_body(commissioning, protocol, actuator)
     typer.echo(json.dumps(body) if as_json else commissioned_text(body))

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from leactl.bench import benchfile
 from leactl.bench.bench import Bench
+from leactl.bench.wire_trace import WireTrace, bench_with_trace
 from leactl.bench.wiring import MachineWiring
 from leactl.driver import registry
 from leactl.driver.contract import OwnRecording, RecordingDevice
@@ -29,7 +30,13 @@ class SavedRecording(NamedTuple):
     interval: float  # s
 
 
-def save_recording(name_or_path: str, device: str, target: Path, changed_buses: Sequence[str] = ()) -> SavedRecording:
+def save_recording(
+    name_or_path: str,
+    device: str,
+    target: Path,
+    changed_buses: Sequence[str] = (),
+    trace: WireTrace | None = None,
+) -> SavedRecording:
     """Switch a bench's device off, upload its recording, and save it; no other device is touched.
 
     Parameters
@@ -37,6 +44,7 @@ def save_recording(name_or_path: str, device: str, target: Path, changed_buses: 
     device : its name in the bench file; it needs a recorder (`RecordingDevice`).
     target : a path that is not taken.
     changed_buses : each as `NAME=INTERFACE:CHANNEL`.
+    trace : receives every byte on the device's wire.
 
     Raises
     ------
@@ -63,7 +71,7 @@ def save_recording(name_or_path: str, device: str, target: Path, changed_buses: 
         )
     file = file.model_copy(update={"buses": {**file.buses, **new_buses}})
     with locks.held(file, chosen_devices):
-        recording, doubt = _upload(Bench(file, chosen_devices, MachineWiring()), device)
+        recording, doubt = _upload(bench_with_trace(file, chosen_devices, MachineWiring(), trace), device)
     try:
         with new_file(target) as path:
             path.write_text(_table(recording), encoding="utf-8")

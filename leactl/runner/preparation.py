@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from leactl.bench.bench import Bench, require_channels_for_interlocks
-from leactl.bench.wire_trace import CALLS, TracedWiring
+from leactl.bench.wire_trace import bench_with_trace
 from leactl.bench.wiring import MachineWiring, Wiring
 from leactl.driver.contract import MotionDevice
 from leactl.errors import InputError
@@ -131,12 +131,7 @@ def bench_of(request: Request, wiring: Wiring | None = None) -> Bench:
 
     Benches that are made with one `wiring` share its emulated devices and their clock; None makes a new wiring.
     """
-    wiring, trace = wiring or wiring_of(request), request.trace
-    if trace is None:
-        return Bench(request.bench, request.devices, wiring)
-    bench = Bench(request.bench, request.devices, TracedWiring(wiring, trace))
-    bench.pass_calls_through(trace.trace_calls, CALLS)
-    return bench
+    return bench_with_trace(request.bench, request.devices, wiring or wiring_of(request), request.trace)
 
 
 def wiring_of(request: Request) -> Wiring:

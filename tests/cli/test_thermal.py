@@ -1,6 +1,7 @@
 """`leactl thermal` and the runs that it warns of, as a shell sees them."""
 
 import json
+import re
 
 import pytest
 
@@ -166,8 +167,11 @@ def test_commissioning_refuses_what_it_cannot_use_in_one_line(here, words, told)
 
 @pytest.mark.long
 def test_the_paper_s_heat_is_admitted_and_run_after_one_short_heat(here):
-    done = leactl("thermal", "commission", "--set", "current_A=9", "--actuator", "LEA-1", "--attended", "--json")
+    asked = "thermal", "commission", "--set", "current_A=9", "--actuator", "LEA-1", "--attended", "--json"
+    done = leactl(*asked, "--trace", "all.trace")
     assert done.returncode == 0, done.stderr
+    opened = re.findall(r"^\S+ supply = open", (here / "all.trace").read_text(), re.MULTILINE)
+    assert len(opened) == len(json.loads(done.stdout)["runs"])
     body = json.loads(done.stdout)
     assert body["done"]
     assert [one["whole"] for one in body["runs"]] in ([False, True], [False, False, True])

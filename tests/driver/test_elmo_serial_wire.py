@@ -862,8 +862,9 @@ def recorded_bench(bench, tmp_path):
 
 
 def test_a_recording_is_saved_as_a_table_that_the_importer_reads(make_serial_drive, tmp_path):
-    path, target = recorded_bench(make_serial_drive(), tmp_path), tmp_path / "step.csv"
-    done = leactl("bench", "recording", "drive_test", str(path), "--out", str(target), "--json")
+    path, target, trace = recorded_bench(make_serial_drive(), tmp_path), tmp_path / "step.csv", tmp_path / "step.trace"
+    words = "bench", "recording", "drive_test", str(path), "--out", str(target), "--trace", str(trace), "--json"
+    done = leactl(*words)
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
     assert told == {"file": str(target), "columns": told["columns"], "rows": 50, "interval_s": pytest.approx(1e-4)}
@@ -882,6 +883,8 @@ def test_a_recording_is_saved_as_a_table_that_the_importer_reads(make_serial_dri
     assert record.time[-1] == pytest.approx(49e-4)
     with pytest.raises(InputError, match="exists already and is never overwritten"):
         save_recording(str(path), "drive_test", target)
+    replayed = leactl("driver", "replay", str(trace), "--bench", str(path))
+    assert (replayed.returncode, "drive_test = recorded []" in trace.read_text()) == (0, True), replayed.stderr
 
 
 @pytest.mark.parametrize("count", [1, 3])
