@@ -2,12 +2,14 @@
 
 import math
 import sys
+from collections.abc import Mapping
 from typing import Any, Final
 
 from leactl import yamlfile
 from leactl.errors import NotIdentifiable
 from leactl.runfile.read.reader import Run
 
+PAPER_WINDING_LIMIT: Final = 130.0  # degC, for a model that states no limit
 LARGEST_SQUARABLE: Final = math.sqrt(sys.float_info.max)  # a number whose square is finite
 
 
@@ -36,6 +38,13 @@ def positive_number(entry: object) -> float:
     if not isinstance(entry, int | float) or isinstance(entry, bool) or not 0 < entry <= LARGEST_SQUARABLE:
         return math.nan
     return float(entry) if entry**2 > 0 else math.nan
+
+
+def winding_limit_of(model: Mapping[str, Any]) -> float:
+    """Return the temperature limit of a model's winding [degC]; that of the paper if the model has none."""
+    limits = model.get("limits")
+    limit = limits.get("winding_temperature") if isinstance(limits, Mapping) else None
+    return float(limit) if isinstance(limit, int | float) and not isinstance(limit, bool) else PAPER_WINDING_LIMIT
 
 
 def torque_constant_of_model(run: Run) -> float:

@@ -35,7 +35,7 @@ from leactl.analysis.heating.record import frame_count, heating_records
 from leactl.analysis.heating.resistance import REFERENCE_TEMPERATURE, resistance_line
 from leactl.analysis.quality.calibration_uncertainty import gain_std
 from leactl.analysis.quality.wrong_units import unit_notes
-from leactl.analysis.run_model import model_of
+from leactl.analysis.run_model import model_of, winding_limit_of
 from leactl.analysis.statistics.linefit import paths_of, setup_notes
 from leactl.errors import InputError
 from leactl.model.winding import FRAMES
@@ -79,7 +79,6 @@ RESULTS = {
 }
 
 MOST_LEFT_OUT_SHARE = 0.01  # of the fitted frames; a note names a larger share
-PAPER_WINDING_LIMIT = 130.0  # degC, for a model that states no limit
 
 
 def analyze(
@@ -126,7 +125,7 @@ def analyze(
         {**asdict(instruments), "camera_lag": camera_lag, "ambient": ambient, "winding_limit": winding_limit}
     )
     model = model_of(runs[0])
-    limit = winding_limit if winding_limit is not None else limit_of(model)
+    limit = winding_limit if winding_limit is not None else winding_limit_of(model)
     if limit <= ambient:
         raise InputError(
             f"{error_prefix}: a winding limit of {limit:g} degC is not above the ambient of {ambient:g} degC"
@@ -214,13 +213,6 @@ def refuse_options(options: Mapping[str, float | None]) -> None:
             raise InputError(f"{name}: {value} is no number")
         if value is not None and name.endswith(("_offset", "_gain")) and value < 0.0:
             raise InputError(f"{name}_std: {value:g} is below zero; a standard uncertainty was expected")
-
-
-def limit_of(model: Mapping[str, Any]) -> float:
-    """Return the temperature limit of a model's winding [degC]; that of the paper if the model has none."""
-    limits = model.get("limits")
-    limit = limits.get("winding_temperature") if isinstance(limits, Mapping) else None
-    return float(limit) if isinstance(limit, int | float) and not isinstance(limit, bool) else PAPER_WINDING_LIMIT
 
 
 def phase_share(model: Mapping[str, Any]) -> Noted[float]:
