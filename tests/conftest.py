@@ -43,7 +43,7 @@ def pytest_configure(config):
 
 
 WALL_CLOCK = {"driver", "kills"}
-"""Directories of tests whose far ends answer from other processes within a time: only what gives way runs beside."""
+"""Directories of tests whose far ends answer from other processes within a time: nothing is to run beside these."""
 
 
 @pytest.hookimpl(tryfirst=True)  # before `-m` is looked at
