@@ -12,7 +12,6 @@ from leactl.errors import InputError
 from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, EffectParameter
 from leactl.gap.null import measure, set_floors, with_simulator_runs, without_imitated_members
 from leactl.gap.planning.separating import separating_experiment
-from leactl.gap.replay.comparison import Compared
 from leactl.gap.replay.long_runs import read_records
 from leactl.gap.search import effect_sets
 from leactl.gap.search.confirm import HeldOutGain, held_out_gains
@@ -32,14 +31,12 @@ from leactl.gap.servo import answer as servo_answer
 from leactl.gap.servo.effect_sets import fit_effect_sets
 from leactl.gap.servo.runs import runs_at_common_rate
 from leactl.gap.setup import SetUpFault, find_and_mend_faults
-from leactl.gap.signals.derived import moved_by_a_servo
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.rig import DRIVE_CHANNELS, RIG_ENTRIES, VOLTAGE_KIND, Array
 from leactl.gap.signals.setpoints import mark_setpoints, setpoint_notes
 from leactl.gap.signals.stamps import stamp_notes, stamped
 from leactl.gap.verdict.decision import LISTED_PROBABILITY, NAMED_PROBABILITY, UNKNOWN_PROBABILITY, verdict_of
 from leactl.gap.verdict.judge import (
-    REPLAY,
     Judged,
     RunRatios,
     Unexplained,
@@ -48,7 +45,6 @@ from leactl.gap.verdict.judge import (
     unexplained_in_a_run,
     unexplained_in_channels,
     unexplained_in_held_out,
-    unexplained_in_replays,
     unrest,
     unrest_of_runs,
 )
@@ -336,9 +332,6 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
             unexplained_in_held_out(evidence, applied_forms, case.held_out),
         )
         strongest_sign = max(strongest_sign, *signs_in_runs, key=lambda sign: sign.probability)
-    if not (named_causes or servo_runs) and strongest_sign.probability < UNKNOWN_PROBABILITY:
-        sign_in_replays = unexplained_in_replays(of_known_setpoints(shrunk.channels, replayed))
-        strongest_sign = max(strongest_sign, sign_in_replays, key=lambda sign: sign.probability)
     alternatives = [rival.candidate for judgement in judgements for rival, _ in judgement.rivals]
     causes = draw_pictures(causes, evidence, applied_forms, alternatives, case.held_out)
     causes = draw_pictures_of_replays(causes, applied.fitted.causes, replayed, shrunk.channels)
@@ -347,8 +340,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         progress("describing what is left")
         refused_effects = nearest_effects(searched, judgements, applied.refused)
         unexplained_notes = (strongest_sign.note,)
-        channel = channel_to_describe(strongest_sign, unrest(unrest_by_run))
-        unexplained_part = describe(evidence, applied_forms, channel, case.held_out, refused_effects)
+        unexplained_part = describe(evidence, applied_forms, strongest_sign.channel, case.held_out, refused_effects)
     return DiagnosisResult(
         verdict_of(causes, strongest_sign.probability, calibrates),
         strongest_sign.probability,
@@ -438,27 +430,6 @@ def unrest_and_lines(evidence: Evidence, effect_set: EffectSet) -> tuple[RunRati
     searched_rows = [not is_left_by_form(effect_set, index) for index in range(len(evidence.stack.rows))]
     lines = highest_lines(evidence, evidence.settle(effect_set.hypothesis), searched_rows)
     return unrest_of_runs(evidence, effect_set), lines
-
-
-def of_known_setpoints(channels: Sequence[Compared], replayed: Sequence[Record]) -> list[Compared]:
-    """Return the channels of runs whose rows hold every setpoint; a replay cannot follow one that changes between rows.
-
-    A servo inside the drive changes its setpoint of the current in every cycle of its own.
-    """
-    runs = {
-        record.name
-        for record in replayed
-        if record.fast is not None and (record.fast.setpoints_between or moved_by_a_servo(record.fast))
-    }
-    return [channel for channel in channels if channel.run not in runs]
-
-
-def channel_to_describe(sign: Unexplained, unrest_by_channel: Mapping[Channel, float]) -> Channel | None:
-    """Return the channel that shows a sign; for replays, the most restless channel of the same set-up."""
-    if sign.channel is None or sign.channel[0] != REPLAY:
-        return sign.channel
-    of_set_up = [channel for channel in unrest_by_channel if channel[2] == sign.channel[2]]
-    return max(of_set_up, key=lambda channel: unrest_by_channel[channel], default=None)
 
 
 def doubts_by_residual(

@@ -127,7 +127,7 @@ CASES = {
     "half of it not measured": (
         every(with_values(half_missing)),
         MODEL,
-        "unknown",  # too little is left to calibrate with, and replays by the nominal model are far off
+        "none",
         "a fifth or more of velocity of test was not measured",
     ),
     "12 bits": (every(with_values(in_steps)), MODEL, "calibration", "the replay of levels-b"),

@@ -1,7 +1,6 @@
 """What is said of a set that was found: rivals by their evidence, lines and unrest by their height, notes once."""
 
 import dataclasses
-import math
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,23 +8,18 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnosis import Near
-from leactl.gap.replay.comparison import Compared
 from leactl.gap.search.effect_sets import TIE_SHARE, FurtherEffect
 from leactl.gap.search.ringing import Line
 from leactl.gap.signals.record import Record
 from leactl.gap.verdict.judge import (
     EVEN_HEIGHT,
     EVEN_LINE_HEIGHT,
-    EVEN_REPLAY_SQUARES,
     EVEN_RUN_UNREST,
     EVEN_UNREST,
-    REPLAY,
-    REPLAY_SHARE,
     Judged,
     judge,
     unexplained_in_a_run,
     unexplained_in_channels,
-    unexplained_in_replays,
 )
 from leactl.gap.verdict.notes import condition_notes, reading_notes
 from leactl.gap.verdict.state_regression import Sample, learn, slow_gain
@@ -110,31 +104,6 @@ def test_a_run_that_stands_out_of_its_channel_is_as_likely_as_not_at_its_thresho
     assert one.channel == CHANNEL
     assert f"of b ({CHANNEL[0]}) is {EVEN_RUN_UNREST * height:.3g} times" in one.note
     assert "the middle one of 3 runs 1.2 times; are they of one machine" in one.note
-
-
-@pytest.mark.parametrize("height", [0.5, 0.9, 1.1, 3.0])
-@pytest.mark.parametrize("noise_share", [0.1, 1e-5])  # of the swing: more and less than a replay's own error
-def test_a_replay_that_is_far_off_is_as_likely_unexplained_as_not_at_its_threshold(height, noise_share):
-    index = np.arange(4000)
-    measured = np.sin(0.01 * index)
-    swing = float(np.std(measured))
-    replayed = measured + math.sqrt(height * EVEN_REPLAY_SQUARES) * swing * math.hypot(noise_share, REPLAY_SHARE)
-    sound = compared("q_axis_current", index, measured, measured, noise_share * swing)
-    sign = unexplained_in_replays([sound, compared("velocity", index, measured, replayed, noise_share * swing)])
-    assert (sign.probability > 0.5) is (height > 1.0)
-    assert sign.channel == (REPLAY, "velocity", "free")
-    assert f"are {math.sqrt(height * EVEN_REPLAY_SQUARES):.3g} times as far off" in sign.note
-
-
-def test_a_channel_that_does_not_move_and_has_no_noise_shows_nothing():
-    index = np.arange(10)
-    assert unexplained_in_replays([compared("velocity", index, 0.0 * index, 0.0 * index, 0.0)]).note == ""
-
-
-def compared(quantity, index, measured, replayed, noise):
-    """A channel of a run whose three models replay it alike."""
-    rows = (index * 1e-3, index, index // 1000, measured, (replayed,) * 3, replayed)
-    return Compared("run", "ramp", "free", quantity, "test", *rows, noise, False)
 
 
 def test_a_run_does_not_stand_out_of_others_that_are_restless_too_nor_by_one_of_its_stretches():

@@ -12,14 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from leactl.effects import library
-from leactl.gap.replay.comparison import Compared
 from leactl.gap.search.confirm import transferred_fit
 from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.effect_sets import LOOSE_SHARE, TIE_SHARE, EffectSet, FurtherEffect, gain_tolerance
 from leactl.gap.search.regression import Candidate, Fit, Rows, Stack, residuals
 from leactl.gap.search.ringing import Line
 from leactl.gap.signals.record import Record
-from leactl.gap.verdict.shrinkage import group_channels
 
 EXACT_FORM_ERROR = 0.0005  # `RIVAL_FORM_ERROR` of two pure lags, whose forms are nearly exact
 MOST_PROBABILITY = 0.998  # largest probability that an effect of any height is present
@@ -34,10 +32,6 @@ FORM_LEFT_SHARE = 0.01  # share of the squares explained in a group of rows that
 EVEN_UNREST = 5.0  # unrest, over that of benches without effects, at even odds of something unexplained
 UNREST_SLOPE = 2.5  # exponent with which the odds grow with that ratio
 EVEN_RUN_UNREST = 25.0  # `EVEN_UNREST` for one run while the median run is quiet, and for a held-out run
-# squared gap of a channel's replays over that of a sound machine, at even odds of something unexplained
-EVEN_REPLAY_SQUARES = 64.0
-REPLAY_SHARE = 0.005  # share of a channel's swing that replays of a sound machine may leave beside its floor
-REPLAY = "replay"  # stands for the equation of a channel whose replays show something unexplained
 ONE_MACHINE_QUESTION = "are they of one machine in one state?"
 EVEN_LINE_HEIGHT = 1.28  # height of a spectral line over its neighbourhood at even odds
 LINE_SLOPE = 30.0  # exponent with which the odds grow with that height
@@ -217,28 +211,6 @@ def unexplained_in_a_run(by_run: RunRatios) -> Unexplained:
             candidates.append(
                 Unexplained(unexplained_probability(ratio, EVEN_RUN_UNREST), note, (equation, quantity, mechanical))
             )
-    return max(candidates, key=lambda candidate: candidate.probability)
-
-
-def unexplained_in_replays(channels: Sequence[Compared]) -> Unexplained:
-    """Return the likeliest sign of something unexplained in replays: the channel whose augmented model is farthest off.
-
-    An error that builds up slowly, such as a drift of the motion, may be too small in each row of an equation.
-
-    channels : held-out runs compared with their replays.
-    """
-    candidates = [Unexplained(0.0, "")]
-    for group in group_channels(channels):
-        squares = np.concatenate([channel.squares(-1) for channel in group])
-        floor_squares = np.concatenate([channel.floor_squares() for channel in group])
-        swing_squares = float(np.var(np.concatenate([channel.measured for channel in group])))
-        sound_squares = float(np.mean(floor_squares)) + REPLAY_SHARE**2 * swing_squares
-        if sound_squares > 0.0:
-            ratio = float(np.mean(squares)) / sound_squares
-            place = f"{group[0].quantity}, {group[0].mechanical}"
-            note = f"unexplained: replays of {place} are {math.sqrt(ratio):.3g} times as far off as a sound machine's"
-            channel_of_sign = (REPLAY, group[0].quantity, group[0].mechanical)
-            candidates.append(Unexplained(unexplained_probability(ratio, EVEN_REPLAY_SQUARES), note, channel_of_sign))
     return max(candidates, key=lambda candidate: candidate.probability)
 
 
