@@ -66,6 +66,11 @@ class TraceLine(NamedTuple):
     text: str
 
 
+def files_of_trace(path: Path) -> list[Path]:
+    """Return the files that a trace to `path` makes: the log of CAN frames, if `path` names one, and the trace."""
+    return [path, path.with_suffix(".trace")] if path.suffix.lower() in CAN_LOGS else [path]
+
+
 class WireTrace:
     """A trace that is being written.
 
@@ -80,8 +85,7 @@ class WireTrace:
         ------
         InputError : a file exists or cannot be written.
         """
-        has_can_log = path.suffix.lower() in CAN_LOGS
-        self.path = path.with_suffix(".trace") if has_can_log else path
+        *can_logs, self.path = files_of_trace(path)
         self._files = ExitStack()
         self._depth: dict[str, int] = {}  # by device or bus, 1 while a traced call is under way
         self._can_log: Any = None
@@ -97,7 +101,7 @@ class WireTrace:
             self._text: TextIO = self._files.enter_context(self.path.open("x", encoding="utf-8"))
         except OSError as error:
             raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
-        if has_can_log:
+        if can_logs:
             try:
                 import can
 

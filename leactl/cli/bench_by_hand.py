@@ -384,10 +384,11 @@ def recording(
     as_json: bool = AS_JSON,
 ) -> None:
     """Save what a drive's own recorder holds as a text table, for `leactl runs attach`; the drive is off meanwhile."""
+    from leactl.bench.wire_trace import files_of_trace
     from leactl.report.outputs import check_files
     from leactl.runner.own_recording import save_recording
 
-    check_files([out], [])
+    check_files([out, *(files_of_trace(trace) if trace else [])], [])
     with traced_to(trace) as wire_trace:
         saved = save_recording(bench, device, out, bus, wire_trace)
     if as_json:

@@ -212,6 +212,7 @@ def commission(
     from dataclasses import replace
 
     from leactl.analysis.heating.narrowing import Accuracy
+    from leactl.bench.wire_trace import files_of_trace
     from leactl.cli.run import perform
     from leactl.report.outputs import check_files, check_folder
     from leactl.report.thermal import commissioned_body, commissioned_text
@@ -221,7 +222,7 @@ def commission(
     from leactl.runner.stop_requests import signals_kept_to_the_end
 
     motor_file = file or Path(f"{actuator.replace('/', '-')}.yaml")
-    check_files([motor_file], given)
+    check_files([motor_file, *(files_of_trace(trace) if trace else [])], given)
     check_folder(out)
 
     def request_with(changes: Mapping[str, str]) -> "Request":

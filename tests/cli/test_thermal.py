@@ -165,6 +165,14 @@ def test_commissioning_refuses_what_it_cannot_use_in_one_line(here, words, told)
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize(("file", "trace"), [("LEA-1.yaml", "LEA-1.yaml"), ("LEA-1.trace", "LEA-1.asc")])
+def test_a_motor_file_is_not_the_trace_as_well(here, file, trace):
+    done = leactl("thermal", "commission", "--actuator", "LEA-1", "--file", file, "--trace", trace)
+    assert done.returncode == 2
+    assert done.stderr.splitlines() == [f"leactl: {file}: is named for two outputs; give each a file of its own"]
+    assert not list(here.glob("LEA-1.*"))
+
+
 @pytest.mark.long
 def test_the_paper_s_heat_is_admitted_and_run_after_one_short_heat(here):
     asked = "thermal", "commission", "--set", "current_A=9", "--actuator", "LEA-1", "--attended", "--json"

@@ -1,5 +1,7 @@
 """Each effect changes in a replay what its definition says, and nothing else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -133,6 +135,14 @@ def test_faults_of_one_sensor_follow_each_other():
     plain = replayed("locked")[TORQUE]
     both = replayed("locked", ("torque_sensor_gain", {"gain": 1.1}), ("torque_sensor_offset", {"offset": 0.3}))[TORQUE]
     assert both[2:] == pytest.approx(1.1 * plain[2:] + 0.3, abs=1e-9)
+
+
+def test_a_torque_sensor_drifts_from_the_run_s_start_in_a_stretch_of_it():
+    whole = run_of("locked")
+    stretch = replace(whole, fast=replace(whole.fast, begin=whole.fast.time[0] - 100.0))  # s
+    drifting = model(("torque_sensor_drift", {"rate": 0.02}))
+    late = replay(stretch, drifting).fast[TORQUE] - replay(whole, drifting).fast[TORQUE]
+    assert late[5:] == pytest.approx(2.0, abs=1e-6)  # N*m
 
 
 def test_a_torque_sensor_feels_the_housing_s_temperature():

@@ -512,7 +512,6 @@ def test_a_wait_stands_where_it_cannot_be_left_out():
         assert foresight().forecast(course_of(longer, (), [done])).passing is None
 
 
-@pytest.mark.long
 def test_a_wait_for_a_hot_step_under_a_condition_stands_before_it():
     plan = made(CURRENT, *BURST, MAYBE, *BURST, EndWhen())
     longer, forecast = foresight().with_waits(plan)

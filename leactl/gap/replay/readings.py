@@ -142,11 +142,12 @@ def replayed_torque(job: Job) -> Array:
     assert job.torque is not None and job.angle is not None
     instant_count = (len(job.clock.time) - 1) * job.parts + 1
     reading: Array = job.torque[:instant_count]
-    time = np.arange(instant_count, dtype=np.float64) * job.step
-    housing = interpolate_steps(job.course().housing, job.parts)
-    course = Course(time, job.step, job.angle[:instant_count], housing)
-    for reading_of in job.plant.torque_reading:
-        reading = reading_of(course, reading)
+    if job.plant.torque_reading:
+        time = job.clock.since_begin[0] + np.arange(instant_count, dtype=np.float64) * job.step
+        housing = interpolate_steps(job.course().housing, job.parts)
+        course = Course(time, job.step, job.angle[:instant_count], housing)
+        for reading_of in job.plant.torque_reading:
+            reading = reading_of(course, reading)
     bandwidth = job.plant.model.bench.torque_filter_bandwidth
     if bandwidth:
         decay = float(np.exp(-2.0 * np.pi * bandwidth * job.step))
