@@ -123,6 +123,21 @@ def named(found):
     return [cause.effect for cause in found.causes if cause.probability >= 0.5]
 
 
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [
+        ("exoskeleton", 2),
+        *(pytest.param(*drawn, marks=pytest.mark.long) for drawn in (("gimbal_motor", 2), ("drone_motor", 1))),
+    ],
+)
+def test_a_limit_of_the_current_is_no_end_of_the_voltage(tmp_path, kind, seed):
+    machine, runs = drawn(kind, ["torque_limit"], seed, "plain", {})
+    write_cases(tmp_path, {"limited": (machine, runs)})
+    found = diagnose(case_of(tmp_path / "limited"))
+    assert named(found) == ["torque_limit"], "a voltage that ends far above every speed of the runs cuts off alike"
+    assert found.causes[0].parameters[0].value == pytest.approx(runs[0].parameter("torque_limit", "current"), rel=0.01)
+
+
 @pytest.mark.parametrize(("name", "kind"), often({f"{name} of {kind}": (name, kind) for name, kind in JOINTS}))
 def test_what_a_joint_has_is_named_with_its_size(drawn_case, name, kind):
     case, run = drawn_case(f"{name} of {kind}")

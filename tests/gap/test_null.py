@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from leactl.effects.voltage_limit import MOST_LEFT_SHARE
 from leactl.gap.diagnose import read_case
 from leactl.gap.null import (
     LEAST_COMMON_STDS,
@@ -321,6 +322,7 @@ def test_the_pages_have_the_numbers_of_the_code():
     assert f"over stretches of {SEGMENT} samples" in decision
     assert {0.05: "a twentieth of the smallest size worth knowing"}[NEGLIGIBLE_SHARE] in gap
     assert {0.05: "A twentieth of the smallest size worth knowing"}[NEGLIGIBLE_SHARE] in decision
+    assert {0.9: "falls by less than a tenth up to the highest speed"}[MOST_LEFT_SHARE] in gap
 
 
 def test_the_table_of_thresholds_is_that_of_the_code():
