@@ -7,10 +7,13 @@ import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from leactl.runfile.read.reader import Run
 from tests.cli.sessions import FILE
 from tests.cli.terminal import leactl
+from tests.runner.conftest import SPIN
 
 ROOT = Path(__file__).parents[2]
 RECIPES = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -63,8 +66,20 @@ def test_the_driver_keeps_the_contract_and_reads_the_emulated_bench(said, tmp_pa
     assert re.search(r"ambient_temperature .* degC .* room", said("bench", "read", "mine.yaml"))
 
 
-def test_the_effect_is_one_of_the_library(said):
+def test_the_effect_is_one_of_the_library_and_acts(said, tmp_path):
     assert "A steady wind turns the joint." in said("gap", "effects", "sea_wind")
+    calm = said("bench", "model", "emulated")
+    [effects] = re.findall(r"# add below: (effects: .*)$", RECIPES, re.MULTILINE)
+    for name, text in {"calm.yaml": calm, "windy.yaml": f"{calm}{effects}\n", "spin.yaml": SPIN}.items():
+        (tmp_path / name).write_text(text)
+    said("run", "spin.yaml", "--bench", "emulated", "--out", "runs")
+    [run] = Path("runs").glob("*.h5")
+    velocities = []
+    for name in ("calm", "windy"):
+        said("gap", "simulate", f"{name}.yaml", run, "--out", f"{name}.h5")
+        with Run.open(Path(f"{name}.h5")) as simulated:
+            velocities.append(np.nanmean(simulated.channel("velocity").values))
+    assert velocities[1] < velocities[0] - 0.1, "the wind is against the joint"
 
 
 def test_the_experiment_analyses_a_run(said):
