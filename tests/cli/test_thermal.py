@@ -1,7 +1,6 @@
 """`leactl thermal` and the runs that it warns of, as a shell sees them."""
 
 import json
-import re
 
 import pytest
 
