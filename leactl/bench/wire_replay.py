@@ -300,14 +300,14 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
 
     Raises
     ------
-    InputError : the file is no trace or a trace of another bench, or has no calls, or its CAN frames are in a separate
-        log.
+    InputError : `path` is no trace, has an invalid line, is of another bench, holds no call of a device on a bus, or
+        holds no frame of the CAN buses in use, which are then in a separate log.
     """
     lines = read_trace(path)
     bus_devices = [device for device in devices if device.entry.bus]
     buses = sorted({device.entry.bus or "" for device in bus_devices})
     callers = {line.owner for line in lines if line.kind == CALLED}
-    called_buses = {device.entry.bus for device in bus_devices if device.name in callers} | callers
+    called_buses = {device.entry.bus for device in bus_devices if device.name in callers} | callers.intersection(buses)
     expect_can_frames(
         path, lines, [name for name in buses if isinstance(file.buses[name], CanBus) and name in called_buses]
     )

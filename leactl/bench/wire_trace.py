@@ -31,7 +31,7 @@ SENT, HEARD, FAILED, CALLED, ENDED = ">", "<", "!", "=", "~"
 KINDS = (SENT, HEARD, FAILED, CALLED, ENDED)
 CONNECT = "connect "  # precedes the error of a line that could not be connected
 NOT_ACCEPTED = "/"  # precedes the bytes that a full line did not accept
-CAN_LOGS = (".asc", ".blf", ".log")  # python-can's own formats
+CAN_LOGS = (".asc", ".blf", ".log")  # suffixes for which python-can writes a log of CAN frames
 FLUSH_S = 0.5  # time between two flushes of the file
 CALLS = (  # methods of a driver that are traced; these calls and its input determine the bytes that it sends
     "open",
@@ -74,8 +74,8 @@ def files_of_trace(path: Path) -> list[Path]:
 class WireTrace:
     """A trace that is being written.
 
-    If the path has a suffix of python-can's logs, CAN frames are written to such a log, and all else to a file with the
-    suffix `.trace`.
+    If the path has a suffix in `CAN_LOGS`, CAN frames are written to a log of that format, and all else to a file with
+    the suffix `.trace`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -87,7 +87,7 @@ class WireTrace:
         """
         *can_logs, self.path = files_of_trace(path)
         self._files = ExitStack()
-        self._depth: dict[str, int] = {}  # by device or bus, 1 while a traced call is under way
+        self._busy: set[str] = set()  # devices and buses with a traced call under way
         self._can_log: Any = None
         self._flushed = -math.inf  # s, time of the last flush
         self._is_empty = True  # until a line or a frame is to be written
@@ -185,18 +185,18 @@ class WireTrace:
         """
 
         def call(*arguments: Any) -> Any:
-            if self._depth.get(owner, 0):
+            if owner in self._busy:
                 return function(*arguments)
             with self._errors_to_fault():
                 self.write(owner, CALLED, f"{name} {json.dumps(arguments)}")
-            self._depth[owner] = 1
+            self._busy.add(owner)
             try:
                 result = function(*arguments)
             except BaseException as error:
                 self.write(owner, ENDED, outcome_text(None, error))
                 raise
             finally:
-                self._depth[owner] = 0
+                self._busy.discard(owner)
                 if name == "close":
                     self._flushed = -math.inf  # flush the next line: the clock may not advance before the next run
             with self._errors_to_fault():
@@ -439,21 +439,21 @@ def expect_calls(path: Path, lines: Sequence[TraceLine], left_out: Container[str
 
     Raises
     ------
-    InputError : the trace has no call, except of the devices in `left_out`.
+    InputError : the trace has no call, or only calls of the devices in `left_out`.
     """
     if not any(line.kind == CALLED and line.owner not in left_out for line in lines):
         raise InputError(f"{path}: holds no call of a device on a bus; a trace of a whole run was expected")
 
 
 def expect_can_frames(path: Path, lines: Sequence[TraceLine], buses: Sequence[str]) -> None:
-    """Check that the CAN frames of a trace are not in a separate log.
+    """Check that a trace holds CAN frames; if it holds none, they are taken to be in a separate log.
 
     Raises
     ------
-    InputError : the trace has lines, but no frame of any of these buses.
+    InputError : the trace has lines and `buses` is not empty, but no frame of any of these buses is in it.
     """
     if buses and lines and not any(line.owner in buses and line.kind in (SENT, HEARD) for line in lines):
         raise InputError(
-            f"{path}: holds no frame of {', '.join(buses)}; a trace that can be replayed has a name that ends in none"
-            f" of {', '.join(CAN_LOGS)}"
+            f"{path}: holds no frame of {', '.join(buses)}; a trace that can be replayed has a name,"
+            f" as given to --trace, that ends in none of {', '.join(CAN_LOGS)}"
         )

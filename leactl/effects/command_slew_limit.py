@@ -53,7 +53,7 @@ class CommandSlewLimit(Effect):
         plant.command.append(lambda values, interval: limited_means(values, rate * interval))
 
     def whole(self, form: Form, strength: float) -> Form:
-        """Return the form unchanged: half of a limit is no limit at another rate."""
+        """Return the form unchanged: half the effect of a limit is not that of a limit at another rate."""
         return form
 
 

@@ -43,7 +43,7 @@ class PowerFoldback(Effect):
             plant.command_at_speed.append(lambda values, speed: folded_back(values, speed, largest_product))
 
     def whole(self, form: Form, strength: float) -> Form:
-        """Return the form unchanged: half of a limit is no limit at another power."""
+        """Return the form unchanged: half the effect of a limit is not that of a limit at another power."""
         return form
 
 

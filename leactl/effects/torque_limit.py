@@ -40,5 +40,5 @@ class TorqueLimit(Effect):
         plant.command.append(lambda values, interval: np.clip(values, -limit, limit))
 
     def whole(self, form: Form, strength: float) -> Form:
-        """Return the form unchanged: half of a limit is no limit at another current."""
+        """Return the form unchanged: half the effect of a limit is not that of a limit at another current."""
         return form

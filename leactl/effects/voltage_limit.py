@@ -1,4 +1,4 @@
-"""Voltage limit: the current is the model's, cut off where supply and back-EMF leave no more."""
+"""Voltage limit: the command is clipped to the currents that supply voltage and back-EMF allow."""
 
 import math
 from collections.abc import Mapping
@@ -10,8 +10,8 @@ from leactl.effects.contract import Array, Effect, Form, Signals, Terms
 from leactl.effects.plant import Plant
 from leactl.model.nominal import Model
 
-# largest share of the stall current that is left at the highest speed of the runs; a limit that falls by less resembles
-# one of the current alone, as if the no-load speed were above ten times the highest speed
+# largest share of the stall current that may be left at the highest speed of the runs; with more left, the no-load
+# speed is above ten times the highest speed, and the limit resembles one of the current alone
 MOST_LEFT_SHARE = 0.9
 
 
@@ -27,9 +27,9 @@ class VoltageLimit(Effect):
     shaped = True
     limits_current = True
     refined = 2
-    # Stall current, current left at the highest speed of the runs, and that speed, in `form_scales`. Runs near that
-    # speed determine the current left there well and the stall current badly; a no-load speed would mix both errors.
-    # The speed has one value and is never refined.
+    # Stall current, current left at the highest speed of the runs, and that speed, in units of `form_scales`. Runs near
+    # that speed determine the current left well and the stall current badly; the no-load speed as the second number
+    # would have the errors of both. The third number has one value and is never refined.
     forms = tuple(product((0.7, 1.0, 1.5, 2.5, 5.0, 10.0), (0.06, 0.085, 0.12, 0.17, 0.24, 0.34, 0.48, 0.68), (1.0,)))
     form_scales = ("highest current", "highest current", "highest speed")
 
@@ -37,7 +37,7 @@ class VoltageLimit(Effect):
         """Return the change of the model's current by the limit."""
         if signals.command is None or signals.following is None or signals.velocity is None or signals.looped is None:
             return {}
-        if form[1] > MOST_LEFT_SHARE * form[0]:  # the current hardly falls with speed: another limit
+        if form[1] > MOST_LEFT_SHARE * form[0]:  # the current hardly falls with speed, as by a torque limit
             return {}
         limited_command = within_voltage(signals.command, signals.velocity, form[0], no_load_speed_of(form))
         if np.array_equal(limited_command, signals.command):
@@ -59,7 +59,7 @@ class VoltageLimit(Effect):
         plant.command_at_speed.append(lambda values, speed: within_voltage(values, speed, stall_current, no_load_speed))
 
     def whole(self, form: Form, strength: float) -> Form:
-        """Return the form unchanged: half of a limit is no limit at another voltage."""
+        """Return the form unchanged: half the effect of a limit is not that of a limit at another voltage."""
         return form
 
 
