@@ -145,6 +145,7 @@ class Emulated(Block):
     """Parameters of an emulated bench; a bench file without this block is a real bench."""
 
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = 1
+    motors: dict[Literal["test", "load"], str] = {}  # of the emulated actuators, where the bench's are not theirs
     test: dict[str, Any] = {}  # parameters that replace those of the motor
     load: dict[str, Any] = {}
     bench: dict[str, Any] = {}

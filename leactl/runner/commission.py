@@ -183,10 +183,14 @@ def _with_motor_file(request: Request, file: Path | None) -> Request:
     """Return the request with another motor file for the actuator under test on the same bench."""
     if file is None:
         return request
-    motors = request.bench.motors | {"test": str(file.resolve())}
-    if "load" not in request.bench.motors:
-        motors |= {"load": request.bench.motors["test"]}  # without an entry, the load has the motor file of `test`
-    return replace(request, bench=request.bench.model_copy(update={"motors": motors}))
+    bench = request.bench
+    motors = bench.motors | {"test": str(file.resolve())}
+    if "load" not in bench.motors:
+        motors |= {"load": bench.motors["test"]}  # without an entry, the load has the motor file of `test`
+    emulated = bench.emulated
+    if emulated is not None:  # the emulated actuator stays the same, whatever motor file describes it
+        emulated = emulated.model_copy(update={"motors": {"test": bench.motors["test"], **emulated.motors}})
+    return replace(request, bench=bench.model_copy(update={"motors": motors, "emulated": emulated}))
 
 
 def _shortened_request(options: CommissionOptions, state: Commissioned) -> Request:

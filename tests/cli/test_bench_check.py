@@ -40,6 +40,10 @@ FAULTS = {
         emulated("  test: {bogus: 2}\n"),
         "emulated.test.bogus: unknown parameter; known are winding,",
     ),
+    "emulated motor": (
+        emulated("  motors: {test: nobody}\n"),
+        "emulated.motors.test: motor 'nobody' is not known",
+    ),
     "negative resistance": (
         emulated("  test: {phase_resistance: -2}\n"),
         "emulated.test.phase_resistance: -2 is outside 1e-12 to inf",

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from leactl.analysis.heating.narrowing import Accuracy
+from leactl.emulation.bench.emulated_block import actuator_of
 from leactl.errors import AcceptanceFailed, InputError, Stopped
 from leactl.model.motor import load_motor
 from leactl.runner.commission import CommissionOptions, commission
@@ -61,6 +62,8 @@ def test_one_short_heat_narrows_the_file_until_the_whole_protocol_is_admitted_an
     assert first.bench.motors["test"] == "lea"
     assert whole.plan.parameters["heating_s"] == 1500
     assert whole.bench.motors == {"test": str(file), "load": "lea"}
+    # what is emulated stays the actuator that was there, whatever the file tells of it
+    assert actuator_of(whole.bench, "test", {}) == actuator_of(first.bench, "test", {})
     assert load_motor(str(file))[0] == found.motor
     assert found.motor.tolerances.housing_ambient_resistance < 0.02
     assert found.admitted

@@ -23,10 +23,12 @@ def actuator_of(file: BenchFile, role: str, changes: Mapping[str, Any]) -> Actua
 
     Raises
     ------
-    InputError : a parameter is not known, or out of its range.
+    InputError : a motor or a parameter is not known, or a parameter is out of its range.
     """
-    motor_name = file.motors.get("test" if role == "test" else "load", file.motors["test"])
-    motor, _document = load_motor(motor_name)
+    motors = dict(file.motors)
+    if file.emulated is not None:
+        motors |= file.emulated.motors
+    motor, _document = load_motor(motors["test"] if role == "test" else motors.get("load", motors["test"]))
     motor_parameters = motor.model_dump(include={parameter.name for parameter in fields(ActuatorParameters)})
     return ActuatorParameters.from_mapping(merge_parameters(motor_parameters, changes))
 
@@ -81,6 +83,14 @@ def _faults(file: BenchFile, document: Document) -> Iterator[str]:
     """Yield the faults of actuators, conditions, bench and effects, each with its position."""
     emulated = file.emulated
     assert emulated is not None
+    motor_faults = [
+        fault
+        for role, name in emulated.motors.items()
+        for fault in _faults_of(document, ("emulated", "motors", role), partial(load_motor, name))
+    ]
+    if motor_faults:
+        yield from motor_faults
+        return
     for role, changes in (("test", emulated.test), ("load", emulated.load)):
         yield from _faults_of(document, ("emulated", role), partial(actuator_of, file, role, changes))
     for label, changes in emulated.conditions.items():
