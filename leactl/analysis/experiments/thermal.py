@@ -78,6 +78,7 @@ RESULTS = {
     "peak_current_300s_standing": "A",
 }
 
+MOST_CHANGE_STDS = 3.0  # of the supply's readings from one run to the next
 MOST_LEFT_OUT_SHARE = 0.01  # of the fitted frames; a note names a larger share
 
 
@@ -88,6 +89,7 @@ def analyze(
     camera_gain_std: float = 0.01,
     voltage_gain_std: float | None = None,
     current_gain_std: float | None = None,
+    supply_change_std: float = 0.0,
     camera_lag: float | None = None,
     winding_limit: float | None = None,
     ambient: float = 25.0,
@@ -105,6 +107,8 @@ def analyze(
     camera_offset_std : [K], standard uncertainty of the camera's zero; 1 K is half of the +-2 K of a thermal camera.
     camera_gain_std : relative, of the rise that it shows; 0.01 is half of its +-2 %.
     voltage_gain_std, current_gain_std : relative, of the supply's readings; by default those of the channels.
+    supply_change_std : relative, of the change of the supply's readings from one run to the next; by default zero. Else
+        network and resistance hold for the supply as it read in the first run.
     camera_lag : [s], by which the camera's clock is behind the supply's; estimated by default.
     winding_limit : [degC], up to which the currents may heat; by default that of the run's model, else the paper's 130.
     ambient : [degC], from which the currents heat.
@@ -113,7 +117,8 @@ def analyze(
     ------
     MissingChannel : a run lacks the temperatures of winding or housing, line current or line voltage.
     NotIdentifiable : no current flows, or no network of two bodies follows the temperatures.
-    InputError : temperatures in kelvin, a resistance below zero, or an option out of range.
+    InputError : temperatures in kelvin, a resistance below zero, an option out of range, or readings of the supply that
+        change from one run to the next by more than `MOST_CHANGE_STDS` of `supply_change_std`.
     """
     error_prefix = f"{paths_of(runs)}: thermal"
     supply_gains = [
@@ -122,7 +127,13 @@ def analyze(
     ]
     instruments = Instruments(camera_offset_std, camera_gain_std, *supply_gains)
     refuse_options(
-        {**asdict(instruments), "camera_lag": camera_lag, "ambient": ambient, "winding_limit": winding_limit}
+        {
+            **asdict(instruments),
+            "supply_change": supply_change_std,
+            "camera_lag": camera_lag,
+            "ambient": ambient,
+            "winding_limit": winding_limit,
+        }
     )
     model = model_of(runs[0])
     limit = winding_limit if winding_limit is not None else winding_limit_of(model)
@@ -134,13 +145,17 @@ def analyze(
     phase_to_line_ratio = phase_share(model)
     records = joined(heating_records(run) for run in runs)
     notes += [*phase_to_line_ratio.notes, *records.notes]
-    fit = fit_network(records.value, Unknowns(camera_offset_std, camera_lag), error_prefix)
+    change_std = math.sqrt(2.0) * supply_change_std  # of a product or a ratio of voltage and current
+    unknowns = Unknowns(camera_offset_std, camera_lag, change_std, records.value[0].run_path)
+    fit = fit_network(records.value, unknowns, error_prefix)
     fitted_frames = sum(len(record.time) for record in fit.records)
     frames_left_out = sum(frame_count(run) for run in runs) - fitted_frames
     if frames_left_out > MOST_LEFT_OUT_SHARE * fitted_frames:
         notes.append(f"left out {frames_left_out} frames at which the supply was not recorded")
-    fit_uncertainty = uncertainty(fit, camera_offset_std)
+    fit_uncertainty = uncertainty(fit)
     line = resistance_line(fit, error_prefix)
+    for quantity, changes in (("heat", fit.heat_changes), ("resistance", line.changes)):
+        refuse_changes(quantity, changes, change_std, records.value[0].run_path)
     ambients = [float(np.mean(record.ambient)) for record in fit.records if record.ambient is not None]
     widened_instruments = widened_by_offset(instruments, fit)
     instruments = widened_instruments.value
@@ -211,8 +226,25 @@ def refuse_options(options: Mapping[str, float | None]) -> None:
     for name, value in options.items():
         if value is not None and not math.isfinite(value):
             raise InputError(f"{name}: {value} is no number")
-        if value is not None and name.endswith(("_offset", "_gain")) and value < 0.0:
+        if value is not None and name.endswith(("_offset", "_gain", "_change")) and value < 0.0:
             raise InputError(f"{name}_std: {value:g} is below zero; a standard uncertainty was expected")
+
+
+def refuse_changes(quantity: str, changes: Mapping[str, float], std: float, first_run: str) -> None:
+    """Raise InputError if a change from the first run to another exceeds `MOST_CHANGE_STDS`.
+
+    Parameters
+    ----------
+    quantity : what voltage and current of the supply determine.
+    changes : of the quantity, relative, by the path of the run.
+    std : standard deviation of such a change.
+    """
+    for path, change in changes.items():
+        if abs(change) > MOST_CHANGE_STDS * std:
+            raise InputError(
+                f"{path}: the {quantity} by the supply's readings is {change:+.2%} off that of {first_run}, at most"
+                f" {MOST_CHANGE_STDS * std:.2%} was expected: another supply, or another wire to the winding"
+            )
 
 
 def phase_share(model: Mapping[str, Any]) -> Noted[float]:

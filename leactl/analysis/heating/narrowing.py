@@ -2,8 +2,9 @@
 
 The gain errors of camera and supply need not be known. A camera that reads low by a share scales all fitted rises by
 that share; `temperature_rise` covers this error, so that the guard stops earlier. A supply's error cancels as long as
-the same supply is used: `line_current` covers the change of its reading from run to run, and `current`, the tolerance
-of any other meter, covers the error of this supply too. All other tolerances are the error of the fit.
+the same supply is used: the file holds for its readings in the first run, `line_current` covers the change of its
+reading from that run to another, and `current`, the tolerance of any other meter, covers the error of this supply too.
+All other tolerances are the error of the fit.
 """
 
 import math
@@ -33,7 +34,7 @@ class Accuracy:
 
     camera_gain: float = 0.02  # of the measured rise; thermal cameras are sold with +-2 K or +-2 %
     camera_offset: float = 2.0  # K, of the camera's zero, and its drift from cold to hot
-    current_repeats: float = 0.005  # of the supply's reading, its change from one run to the next
+    current_repeats: float = 0.005  # of the supply's readings, their change from one run to the next
 
 
 def narrow_tolerances(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> Motor:
@@ -62,6 +63,7 @@ def narrow_tolerances(motor: Motor, runs: Sequence[Run], accuracy: Accuracy) -> 
         camera_gain_std=0.0,
         voltage_gain_std=0.0,
         current_gain_std=0.0,
+        supply_change_std=0.5 * accuracy.current_repeats,
     )
     values = {estimate.name: estimate.value for estimate in result.results}
     if missing := [name for name in (*NETWORK_PARAMETERS, *WINDING_PARAMETERS) if not math.isfinite(values[name])]:

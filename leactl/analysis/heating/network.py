@@ -3,12 +3,13 @@
 Each residual takes the exact solution of the network. Its unknowns are the winding's conductance to the air, which may
 be zero, and the logarithms of the other two resistances and of both capacitances. Each record adds unknowns: the
 starting temperatures, the camera's offsets at winding and housing from the ambient sensor (without a sensor, the air's
-temperature), and the lag of the camera's clock.
+temperature), the lag of the camera's clock, and, where the supply's readings may change from run to run, the change of
+the heat from that of the first run.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +30,8 @@ class Unknowns:
 
     offset_std: float  # K, prior of the camera's offset from the ambient sensor; zero: no offset is fitted
     lag: float | None  # s, the known lag of the camera's clock; None: the lag of each record is fitted
+    heat_change_std: float = 0.0  # relative, prior of the heat's change from the first run; zero: none is fitted
+    first_run: str = ""  # path
 
     def names_of(self, record: HeatingRecord) -> tuple[str, ...]:
         """Return the names of the unknowns of one record."""
@@ -36,7 +39,12 @@ class Unknowns:
             ("air",) if record.ambient is None else ("offset_winding", "offset_housing") if self.offset_std else ()
         )
         lag_names = ("lag",) if self.lag is None else ()
-        return ("winding_start", "housing_start", *offset_names, *lag_names)
+        changes = self.heat_change_std > 0.0 and record.run_path != self.first_run
+        return ("winding_start", "housing_start", *offset_names, *lag_names, *(("heat_change",) if changes else ()))
+
+    def prior_std_of(self, name: str) -> float:
+        """Return the standard deviation of an unknown's prior, whose mean is zero; zero without a prior."""
+        return self.offset_std if name.startswith("offset") else self.heat_change_std if name == "heat_change" else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +57,7 @@ class NetworkFit:
     fitted_temperatures: tuple[Array, ...]  # degC, winding and housing of each record, shape (2, frames)
     derivatives: tuple[Array, ...]  # of the fitted temperatures by the unknowns, shape (2, frames, unknowns)
     prior_weights: Array  # variance of the residuals over that of each unknown's prior; zero without a prior
+    prior_stds: Array  # of each unknown's prior; zero without a prior
     lags: tuple[float, ...]  # s, of the camera's clock in each record
     rates: tuple[Array, ...]  # K/s, how fast the fitted temperatures change, shape (2, frames)
 
@@ -64,6 +73,16 @@ class NetworkFit:
             camera_temperatures(record) - fit
             for record, fit in zip(self.records, self.fitted_temperatures, strict=True)
         ]
+
+    @property
+    def heat_changes(self) -> dict[str, float]:
+        """Return the largest relative change of the heat from that of the first run, by path of a run that has one."""
+        changes: dict[str, float] = {}
+        for number, record in enumerate(self.records):
+            index = self.index_of(number, "heat_change")
+            if index is not None:
+                changes[record.run_path] = max(changes.get(record.run_path, 0.0), float(self.point[index]), key=abs)
+        return changes
 
     def index_of(self, record_number: int, name: str) -> int | None:
         """Return the index in `point` of an unknown of a record; None if the record has no unknown of this name."""
@@ -117,12 +136,20 @@ def fit_network(records: Sequence[HeatingRecord], unknowns: Unknowns, error_pref
     rates = tuple(_rate(record, unknowns, *values) for record, values in values_by_record)
     weights = prior_weights(covered_records, unknowns, noise)
     return NetworkFit(
-        point, names, tuple(covered_records), fitted_temperatures, derivatives, weights, fitted_lags, rates
+        point,
+        names,
+        tuple(covered_records),
+        fitted_temperatures,
+        derivatives,
+        weights,
+        prior_stds(covered_records, unknowns),
+        fitted_lags,
+        rates,
     )
 
 
 def residual_vector(records: Sequence[HeatingRecord], unknowns: Unknowns, point: Array, noise: float) -> Array:
-    """Return the residuals that least squares minimises [K]: those of valid frames, then those of offset priors."""
+    """Return the residuals that least squares minimises [K]: those of valid frames, then those of priors."""
     frame_residuals = [
         _of_valid_frames(camera_temperatures(record) - _fitted_temperatures(record, unknowns, *values), record)
         for record, values in _values_by_record(records, unknowns, point)
@@ -134,11 +161,16 @@ def residual_vector(records: Sequence[HeatingRecord], unknowns: Unknowns, point:
 def prior_weights(records: Sequence[HeatingRecord], unknowns: Unknowns, noise: float) -> Array:
     """Return the weight of each unknown's prior, shape (unknowns,).
 
-    Only offsets have a prior, with mean zero; `noise` is the root mean square of the residuals [K].
+    `noise` is the root mean square of the residuals [K].
     """
+    stds = prior_stds(records, unknowns)
+    return np.divide(noise, stds, out=np.zeros_like(stds), where=stds > 0.0) ** 2
+
+
+def prior_stds(records: Sequence[HeatingRecord], unknowns: Unknowns) -> Array:
+    """Return the standard deviation of each unknown's prior, shape (unknowns,); zero without a prior."""
     names = [name for record in records for name in unknowns.names_of(record)]
-    weight = (noise / unknowns.offset_std) ** 2 if unknowns.offset_std else 0.0
-    return np.array([0.0] * NETWORK_UNKNOWNS + [weight if name.startswith("offset") else 0.0 for name in names])
+    return np.array([0.0] * NETWORK_UNKNOWNS + [unknowns.prior_std_of(name) for name in names])
 
 
 def _optimum(
@@ -231,7 +263,18 @@ def _forced_response(
 
     Both have shape (2, frames).
     """
-    return temperatures_and_rates_at(network, drive_of(record), _stamps(record, unknowns, record_unknowns))
+    drive, heat_ratio = drive_of(record), 1.0 + record_unknowns.get("heat_change", 0.0)
+    drive = replace(drive, begin=heat_ratio * drive.begin, end=heat_ratio * drive.end)
+    return temperatures_and_rates_at(network, drive, _stamps(record, unknowns, record_unknowns))
+
+
+def _response_to_heat(
+    record: HeatingRecord, unknowns: Unknowns, network: Conductances, record_unknowns: dict[str, float]
+) -> Array:
+    """Return the rises [K] that the heat as it was read causes at the frames, shape (2, frames)."""
+    drive = drive_of(record)
+    drive = replace(drive, ambient=np.zeros(len(drive.ambient)))
+    return temperatures_and_rates_at(network, drive, _stamps(record, unknowns, record_unknowns))[0]
 
 
 def _decay_of_start(
@@ -297,10 +340,12 @@ def _derivatives_by_record(records: Sequence[HeatingRecord], unknowns: Unknowns,
             "offset_winding": np.array([[1.0], [0.0]]),
             "offset_housing": np.array([[0.0], [1.0]]),
         }
+        if "lag" in names:
+            derivative_of["lag"] = -_rate(record, unknowns, network, record_unknowns)
+        if "heat_change" in names:
+            derivative_of["heat_change"] = _response_to_heat(record, unknowns, network, record_unknowns)
         for column, name in enumerate(names, start=first_column):
-            derivatives[:, :, column] = (
-                -_rate(record, unknowns, network, record_unknowns) if name == "lag" else derivative_of[name]
-            )
+            derivatives[:, :, column] = derivative_of[name]
         first_column += len(names)
         derivatives_by_record.append(derivatives)
     return derivatives_by_record

@@ -134,11 +134,8 @@ class Uncertainty:
     scatter: Scatter
 
 
-def uncertainty(fit: NetworkFit, offset_std: float) -> Uncertainty:
-    """Return the covariance of the fit's unknowns by the noise and the drift of the residuals, and by the priors.
-
-    `offset_std` is the standard uncertainty of the camera's zero [K].
-    """
+def uncertainty(fit: NetworkFit) -> Uncertainty:
+    """Return the covariance of the fit's unknowns by the noise and the drift of the residuals, and by the priors."""
     valid_frames = [np.isfinite(residual) for residual in fit.residuals]
     information = np.diag(fit.prior_weights)
     for columns, valid in zip(fit.derivatives, valid_frames, strict=True):
@@ -156,7 +153,7 @@ def uncertainty(fit: NetworkFit, offset_std: float) -> Uncertainty:
     noise, drift = (
         sum(column) for column in zip(*(covariance_of_sums(record_bins, scatter) for record_bins in bins), strict=True)
     )
-    noise = noise + np.diag((fit.prior_weights * offset_std) ** 2)
+    noise = noise + np.diag((fit.prior_weights * fit.prior_stds) ** 2)
     return Uncertainty(inverse @ noise @ inverse, inverse @ drift @ inverse, scatter)
 
 

@@ -36,12 +36,16 @@ class ResistanceLine:
     timing: Array  # their covariance by the unknown difference of the clocks
     dof: float  # degrees of freedom of the drift's variance
     r_squared: float
+    changes: dict[str, float]  # by run: relative change of the resistance from the first run, where it is fitted
     temperature: Array  # degC, of the points that the line is fitted to
     resistance: Array  # ohm, of these points
 
 
 def resistance_line(fit: NetworkFit, error_prefix: str) -> ResistanceLine:
     """Fit the resistance of two leads over the temperature of the active windings.
+
+    Where the heat of a run is fitted relative to that of the first run, so is its resistance: voltage and current are
+    read by the same supply.
 
     Raises
     ------
@@ -59,11 +63,15 @@ def resistance_line(fit: NetworkFit, error_prefix: str) -> ResistanceLine:
             f"{error_prefix}: the current was on, and the active windings seen, for too short a time to tell their"
             f" resistance; about {shortest_on_time(widest_bin):.0f} s are needed"
         )
-    design = np.column_stack([np.ones(len(time)), temperature - REFERENCE_TEMPERATURE])
-    instruments = np.column_stack([np.ones(len(time)), neighbour_temperature - REFERENCE_TEMPERATURE])
+    path_of_point = np.repeat([record.run_path for record in fit.records], [len(means[0]) for means in means_by_record])
+    changed_runs = [path for path in fit.heat_changes if (path_of_point == path).any()]
+    # a change of r in R = r R + level + slope (T - 25 degC), with the readings themselves on the right
+    changed = [np.where(path_of_point == path, resistance, 0.0) for path in changed_runs]
+    design = np.column_stack([np.ones(len(time)), temperature - REFERENCE_TEMPERATURE, *changed])
+    instruments = np.column_stack([np.ones(len(time)), neighbour_temperature - REFERENCE_TEMPERATURE, *changed])
     inverse = np.linalg.inv(instruments.T @ design)
-    level, slope = inverse @ (instruments.T @ resistance)
-    residuals = resistance - design @ np.array([level, slope])
+    level, slope, *changes = coefficients = inverse @ (instruments.T @ resistance)
+    residuals = resistance - design @ coefficients
     edges = np.cumsum([0, *(len(means[0]) for means in means_by_record)])
     record_slices = [slice(start, stop) for start, stop in itertools.pairwise(edges.tolist()) if stop > start]
     bins = binned_residuals(
@@ -74,7 +82,7 @@ def resistance_line(fit: NetworkFit, error_prefix: str) -> ResistanceLine:
     scatter = scatter_of(bins).model_average
     sums = [covariance_of_sums(record_bins, scatter) for record_bins in bins]
     # from (level, slope) to (level, coefficient); the coefficient is slope over level
-    jacobian = np.array([[1.0, 0.0], [-slope / level**2, 1.0 / level]]) @ inverse
+    jacobian = np.array([[1.0, 0.0], [-slope / level**2, 1.0 / level]]) @ inverse[:2]
     noise, drift = (jacobian @ sum(record_sums[source] for record_sums in sums) @ jacobian.T for source in (0, 1))
     timing_slopes = jacobian @ (instruments.T @ (slope * rate))
     reading_interval = max(float(np.median(np.diff(record.supply.time))) for record in fit.records)
@@ -87,6 +95,7 @@ def resistance_line(fit: NetworkFit, error_prefix: str) -> ResistanceLine:
         reading_interval**2 / 12.0 * np.outer(timing_slopes, timing_slopes),
         scatter.dof,
         1.0 - float(residuals @ residuals) / total_square if total_square > 0.0 else math.nan,
+        dict(zip(changed_runs, map(float, changes), strict=True)),
         temperature,
         resistance,
     )
