@@ -114,6 +114,34 @@ def test_it_passes_its_check_and_its_tests_once_two_functions_are_filled_in(pack
     assert done.returncode == 0, done.stdout
 
 
+PACE = """
+from types import SimpleNamespace
+
+from leactl_room_meter.driver import RoomMeter, RoomMeterSettings
+
+CYCLE_S, PERIOD_S = 0.03, 0.05
+clock = SimpleNamespace(time=0.0)
+clock.now = lambda: clock.time
+port = SimpleNamespace(write=lambda data: None, discard=lambda: None, take_line=lambda: b"+23.412", read=lambda *_: 0)
+meter = RoomMeter("room", "test", RoomMeterSettings(period_s=PERIOD_S), port, clock)
+times = []
+for cycle in range(1000):
+    clock.time = cycle * CYCLE_S
+    if 500 <= cycle < 600:  # a pause of three seconds: what was missed is not asked for afterwards
+        continue
+    times += [row.time for row in meter.take()]
+assert abs(len(times) - (1000 - 100) * CYCLE_S / PERIOD_S) <= 2, len(times)
+"""
+
+
+def test_its_period_is_kept_by_a_loop_whose_cycles_do_not_divide_it(package, tmp_path):
+    bus, folder = package
+    fill_in(bus, folder)
+    (tmp_path / "pace.py").write_text(PACE)
+    done = said(folder, tmp_path, "pace")
+    assert done.returncode == 0, done.stderr
+
+
 MANUAL = """
 from leactl_room_meter import driver
 from leactl_room_meter.emulator import RoomMeterEmulator, answer_of

@@ -1,1 +1,1 @@
-"""Packages with one driver, to begin with: texts with `$name` where the driver's own words go."""
+"""Templates of a package with one driver; `$name` and the like stand for what `leactl driver new` was given."""
