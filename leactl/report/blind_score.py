@@ -16,9 +16,9 @@ effect, one, two, or one that the library lacks. Of each kind of run, the last i
 before the key was opened; the key's SHA-256 is the one beside the runs. Intervals are Wilson's, at 95 %.
 
 - *First cause right*: the first entry of `causes` is an effect that the case has. *Reported set*: that entry with its
-  `indistinguishable_from`. *Named*: an effect with a probability of 0.5 or more, or in the reported set. Two effects
-  count as one where no record of a machine tells them apart, such as asymmetric friction and an offset of the current
-  sensor in a joint without a voltage.
+  `indistinguishable_from`. *Named*: an effect with a probability of 0.5 or more; of two effects, one in the reported
+  set is named as well. Two effects count as one where no record of a machine tells them apart, such as asymmetric
+  friction and an offset of the current sensor in a joint without a voltage.
 - *Called sound*: the verdict is `none` or `calibration`. *The held-out gap grew*: with the named effects, the squared
   distance to the held-out runs is larger than without them; it is summed over the channels in multiples of their
   floors.
