@@ -301,7 +301,7 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
     Raises
     ------
     InputError : `path` is no trace, has an invalid line, is of another bench, holds no call of a device on a bus, or
-        holds no frame of the CAN buses in use, which are then in a separate log.
+        holds no frame of the CAN buses in use.
     """
     lines = read_trace(path)
     bus_devices = [device for device in devices if device.entry.bus]

@@ -446,7 +446,7 @@ def expect_calls(path: Path, lines: Sequence[TraceLine], left_out: Container[str
 
 
 def expect_can_frames(path: Path, lines: Sequence[TraceLine], buses: Sequence[str]) -> None:
-    """Check that a trace holds CAN frames; if it holds none, they are taken to be in a separate log.
+    """Check that a trace holds CAN frames: they may be in a separate log, or none was ever sent or received.
 
     Raises
     ------
@@ -454,6 +454,6 @@ def expect_can_frames(path: Path, lines: Sequence[TraceLine], buses: Sequence[st
     """
     if buses and lines and not any(line.owner in buses and line.kind in (SENT, HEARD) for line in lines):
         raise InputError(
-            f"{path}: holds no frame of {', '.join(buses)}; a trace that can be replayed has a name,"
-            f" as given to --trace, that ends in none of {', '.join(CAN_LOGS)}"
+            f"{path}: holds no frame of {', '.join(buses)}: none passed, or --trace was given a name that ends in"
+            f" {', '.join(CAN_LOGS)}, which puts them in a log of their own that cannot be replayed"
         )
