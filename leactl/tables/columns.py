@@ -57,8 +57,8 @@ class Columns:
 
     Raises
     ------
-    InputError : the file cannot be read, is not in the stated format, or has rows of another width; at most
-        `most_faults` lines.
+    InputError : the file cannot be read, is not in the stated format, has rows of another width, a quoted cell that
+        does not end in its line, or a blank line between rows of one column; at most `most_faults` lines.
     """
 
     number_of_word: ClassVar[Mapping[str, float]] = {}  # such as "true": 1.0; keys in lower case
@@ -90,20 +90,31 @@ class Columns:
         self._format = NumberFormat(form.decimal, form.thousands)
         self._advice = f"; if it marks a missed sample, add it to {settings_prefix}missing" if settings_prefix else ""
         first_line, comment, width = form.data_line or form.header_line + 1, form.comment, 0
+        self.last_line = 0  # number of the last line that was read
+        blank_line = 0  # number of a blank line after the last row
         with open_text(
             path, form.encoding, most_bytes, f"; {settings_prefix}encoding decides" if settings_prefix else ""
         ) as file:
             for line, cells in rows_of(path, file, form.delimiter, strict):
+                if line > self.last_line + 1 and line >= first_line:
+                    raise InputError(
+                        f"{path}: line {self.last_line + 1}: a quote opens a cell that does not end in its line"
+                    )
+                self.last_line = line
                 if line == form.header_line:
                     self.names = [cell.strip() for cell in cells]
                     if form.delimiter == " " and self.names[:1] == [comment]:
                         self.names = self.names[1:]  # numpy.savetxt writes `# t q`
                 if line < first_line or not (cells if every_row else any(cells)):
+                    blank_line = blank_line or line
                     continue
                 if comment and cells[0].startswith(comment) and cells[0].strip() not in self._missing:
                     continue
                 if not width:
                     width = self._choose_columns(requested, labels, line, cells)
+                if width == 1 and self.lines and blank_line > self.lines[-1]:
+                    self._faults.append(f"{path}: line {blank_line}: is blank; write a missed sample as nan")
+                blank_line = 0
                 if len(cells) != width and (fault := width_fault(path, line, cells, width)):
                     self._faults.append(fault)
                 else:
@@ -156,6 +167,12 @@ class Columns:
                     self._columns[index] = [cell]  # a column of text: run metadata, or calendar stamps
         for index, texts in self._labels.items():
             texts.append(sys.intern(cells[index].strip()))  # millions of rows share a few texts
+
+    def drop_last_row(self) -> int:
+        """Drop the last row, and return the number of its line."""
+        for column in (*self._columns.values(), *self._labels.values()):
+            column.pop()
+        return self.lines.pop()
 
     def number(self, cell: str) -> float:
         """Return the number in a cell, read in the stated format.

@@ -243,7 +243,7 @@ def test_nothing_is_overwritten_and_nothing_is_left_over(folder):
 def test_sources_of_one_name(folder):
     (folder / "x").mkdir()
     (folder / "x" / "a.csv").write_bytes((folder / "a.csv").read_bytes())
-    assert "a.h5: several sources make this run" in refused(folder, sources=["a.csv", "x/a.csv"])[0]
+    assert "a.h5: several sources make this file" in refused(folder, sources=["a.csv", "x/a.csv"])[0]
 
 
 def test_the_command_answers_in_text_json_and_status(folder):

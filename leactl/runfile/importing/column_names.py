@@ -47,15 +47,18 @@ ALIASES: Final = {
     "%": ("%", "percent"),
     "s": ("s", "sec", "secs", "second", "seconds"),
     "ms": ("ms", "msec", "millis", "milliseconds"),
-    "us": ("us", "usec", "µs", "micros", "microseconds"),
+    "us": ("us", "usec", "\u00b5s", "\u03bcs", "micros", "microseconds"),
     "ns": ("ns", "nsec", "nanoseconds"),
+    "min": ("min", "mins", "minute", "minutes"),
+    "h": ("h", "hr", "hrs", "hour", "hours"),
     "m": ("m", "meter", "meters"),
     "mm": ("mm",),
     "m/s": ("m/s", "meter per second", "meters per second"),
     "mm/s": ("mm/s",),
     "N": ("n", "newton"),
 }
-ONLY_IN_BRACKETS: Final = ("m", "N", "K")  # after an underscore, these mean "measured", a count and a gain
+# after an underscore, these mean "measured", a count, a gain, the lowest one and a height, but of a time a unit
+ONLY_IN_BRACKETS: Final = ("m", "N", "K", "min", "h")
 AMBIGUOUS_UNITS: Final = ("1/s", "s^-1", "rps")  # ambiguous between rad/s and rev/s: the numbers may decide
 EVERY_UNIT: Final = tuple(dict.fromkeys((*ALIASES, *(units for known in CONVERSIONS.values() for units in known))))
 # unit by its spelling without `*`, for brackets at the end of a header
@@ -65,6 +68,8 @@ _AMPERES_OR_VOLTS: Final = re.compile(r"_m?[AV]\Z")
 _LOWER_CASE_UNIT: Final = re.compile(r"(?i:cur\w*|i(?:q|d|bus|dc))_a\Z|(?i:volt\w*|[uv](?:q|d|bus|dc|in))_v\Z")
 _PHASES: Final = ("abc", "uvw", "ABC", "UVW")
 _UNIT_SIGN: Final = re.compile(r"[/^*·°%]")
+_PREFIXED_UNIT: Final = re.compile(r"(?:[nu\u00b5\u03bcmcdkM])?(?:A|V|Nm|rad|deg|m|N)")
+_RMS_OR_PEAK: Final = re.compile(r"[um\u00b5\u03bck]?[AV][ _.-]?(?:rms|eff|pk|peak|p|pp|pk-pk)", re.IGNORECASE)
 
 
 class Meaning(NamedTuple):
@@ -106,6 +111,8 @@ def meaning_of(name: str, declared: str = "", siblings: Collection[str] = ()) ->
     words = words_of(name_without_unit)
     if excluded_words := [word for word in words_of(last_part) if word in word_table()["none"]]:
         return Meaning("", "", "", f"its name says {excluded_words[0]}")
+    if _RMS_OR_PEAK.fullmatch(unit_of(name)):
+        return Meaning("", "", "", "its unit is that of an r.m.s. or peak value")
     units = declared if declared in EVERY_UNIT else units_of(name, list(EVERY_UNIT))
     rule = rule_of(words_of(last_part), name, units) or rule_of(words, name, units)
     if rule is not None and "left_out" in rule:
@@ -151,7 +158,8 @@ def is_one_of_phases(name: str, siblings: Collection[str]) -> bool:
 def unknown_unit(name: str) -> str:
     """Return the text in brackets at the end of a name if it looks like an unknown unit; else empty."""
     unit = unit_of(name)
-    return unit if _UNIT_SIGN.search(unit) and not units_in_brackets(name) and unit not in AMBIGUOUS_UNITS else ""
+    looks_like_a_unit = _UNIT_SIGN.search(unit) or _PREFIXED_UNIT.fullmatch(unit)
+    return unit if looks_like_a_unit and not units_in_brackets(name) and unit not in AMBIGUOUS_UNITS else ""
 
 
 def without_unit(name: str) -> str:
@@ -178,7 +186,8 @@ def units_of(name: str, candidates: list[str]) -> str:
         endings.append(words[-1])  # `angle.deg`, where a letter alone is a name
     for ending in endings:
         for units, aliases in ALIASES.items():
-            is_unit = bracketed or (units not in ONLY_IN_BRACKETS and _case_fits(name, ending, units))
+            is_allowed = units not in ONLY_IN_BRACKETS or (units in SECONDS and is_time(name))
+            is_unit = bracketed or (is_allowed and _case_fits(name, ending, units))
             if is_unit and ending.lower() in aliases and units in candidates:
                 return units
     if bracketed in candidates:

@@ -20,7 +20,7 @@ from leactl import __version__, yamlfile
 from leactl.errors import InputError
 from leactl.runfile.importing.checks import implausible_values, notes_on_gaps, notes_on_units
 from leactl.runfile.importing.joints import ALL, asks_for_joints, for_joint, joints_of
-from leactl.runfile.importing.mapping import PLACEHOLDER, FieldOf, Mapping
+from leactl.runfile.importing.mapping import PLACEHOLDER, FieldOf, Mapping, as_label
 from leactl.runfile.importing.parts import split_recording
 from leactl.runfile.importing.sources.registry import is_log, names, open_source
 from leactl.runfile.importing.sources.source import LogSource, MissingColumn, SourceRequest, WantedColumn
@@ -29,6 +29,8 @@ from leactl.runfile.importing.streams import Stream, build_streams, number_value
 from leactl.runfile.publish import move_without_overwriting, refuse_existing
 from leactl.runfile.write.run_info import RunInfo, faults_of
 from leactl.runfile.write.writer import RunWriter
+
+DIGEST_DIGITS = 8  # of the source's SHA-256, in the `run_id` of an imported run
 
 
 @dataclass
@@ -40,6 +42,7 @@ class ImportedRun:
     steps: list[ImportedStep]
     origin: str  # the source and the mapping
     notes: list[str]  # possible errors that a person should check, each with the source's name
+    name: str  # of its file, without `.h5`
 
 
 def import_runs(sources: Sequence[str], mapping_path: Path, out: Path, joints: Sequence[str] = ()) -> list[Path]:
@@ -88,8 +91,11 @@ def read_by_mapping(
             runs += read_source(path, mapping, document)
         except InputError as error:
             faults += [line for line in error.faults if line not in faults]
-    run_ids = [run.info.run_id for run in runs]
-    faults += [f"{name}.h5: several sources make this run; import them apart" for name in duplicates(run_ids)]
+    file_names = [run.name for run in runs]
+    faults += [
+        f"{name}.h5: several sources make this file; import them into different folders"
+        for name in duplicates(file_names)
+    ]
     if faults:
         raise InputError(faults)
     return runs
@@ -186,7 +192,8 @@ def read_joint(source: LogSource, joint: str, mapping: Mapping, document: yamlfi
     ]
     if implausible:
         raise InputError(implausible)
-    notes = [f"{source.path}: {line}" for line in (*notes_on_gaps(streams), *notes_on_units(streams, mapping))]
+    remarks = (*source.remarks, *notes_on_gaps(streams), *notes_on_units(streams, mapping))
+    notes = [f"{source.path}: {line}" for line in remarks]
     parts = split_recording(source.path, streams, mapping, document)
     runs = [
         describe_run(source, "-".join(filter(None, (joint, suffix))), part, mapping, document, notes)
@@ -252,8 +259,10 @@ def describe_run(
         for block in ("setup", "parameters")
     )
     name = f"{source.path.stem}-{suffix}" if suffix else source.path.stem
+    digest = digest_of(source.path)
+    ascii_name = re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-._") or "run"
     info = RunInfo(
-        run_id=re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-._") or "run",
+        run_id=f"{ascii_name}-{digest[:DIGEST_DIGITS]}",  # recordings of two days may have one name
         simulated=mapping.run.simulated,
         mechanical=mapping.mechanical,
         software=f"leactl {__version__}",
@@ -268,8 +277,9 @@ def describe_run(
         operator=attributes["operator"],
     )
     steps = steps_of(streams, mapping, document, str(source.path))
-    origin = f"{source.path.name} (SHA-256 {digest_of(source.path)}) by {Path(document.name).name}"
-    return ImportedRun(info, streams, steps, origin, notes)
+    origin = f"{source.path.name} (SHA-256 {digest}) by {Path(document.name).name}"
+    file_name = re.sub(r"[^\w.-]+", "-", name).strip("-._") or "run"
+    return ImportedRun(info, streams, steps, origin, notes, file_name)
 
 
 def digest_of(path: Path) -> str:
@@ -289,7 +299,7 @@ def text_value(source: LogSource, value: str | FieldOf, keys: tuple[str, ...], d
         field_value = source.field(value.field)
     except MissingColumn as lacking:
         raise InputError(document.fault((*keys, "field"), str(lacking))) from None
-    return field_value if isinstance(field_value, str) else f"{value.scale * field_value + value.offset:g}"
+    return field_value if isinstance(field_value, str) else as_label(value.scale * field_value + value.offset)
 
 
 def created_text(source: LogSource, mapping: Mapping, document: yamlfile.Document) -> str:
@@ -312,7 +322,7 @@ def targets_of(runs: Sequence[ImportedRun], out: Path) -> list[Path]:
     ------
     InputError : one of the files exists.
     """
-    targets = [out / f"{run.info.run_id}.h5" for run in runs]
+    targets = [out / f"{run.name}.h5" for run in runs]
     for target in targets:
         refuse_existing(target)
     return targets
@@ -342,8 +352,8 @@ def write_runs(runs: Sequence[ImportedRun], out: Path) -> list[Path]:
                 for name, stream in run.streams.items():
                     if stream.aligned:
                         writer.event(0.0, "info", "import", f"stream {name}: {stream.aligned}")
-        for target in targets:
-            move_without_overwriting(temporary_folder / target.name, target)
+        for run, target in zip(runs, targets, strict=True):
+            move_without_overwriting(temporary_folder / f"{run.info.run_id}.h5", target)
             published.append(target)
     except BaseException:
         for target in published:

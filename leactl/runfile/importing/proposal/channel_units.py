@@ -16,6 +16,7 @@ import numpy.typing as npt
 from leactl.runfile.importing.column_names import is_time, meaning_of, shaft_of
 from leactl.runfile.importing.mapping import PLACEHOLDER
 from leactl.runfile.importing.proposal.inferred_units import (
+    EPOCHS,
     PAIR_GAIN_TOLERANCE,
     UNIT_GAIN_TOLERANCE,
     UNITS_LIKE_A_GEAR,
@@ -32,6 +33,7 @@ from leactl.runfile.importing.proposal.inferred_units import (
 from leactl.runfile.importing.proposal.log_dialects import LogDialect
 from leactl.runfile.importing.proposal.survey import Survey, SurveyedTable
 from leactl.runfile.importing.sources.source import ListedColumn, ListedTable
+from leactl.tables.text_table import unit_of
 from leactl.units import SECONDS, converter, known_units
 
 Array = npt.NDArray[np.float64]
@@ -116,7 +118,7 @@ def stream_of(surveyed: SurveyedTable, names: frozenset[str], used_names: set[st
     table, dialect = surveyed.table, surveyed.dialect
     time, time_units, time_why = time_of(surveyed)
     channels: dict[str, ProposedChannel] = {}
-    left_out: dict[str | int, str] = {}
+    left_out: dict[str | int, str] = dict(table.left_out)
     for column in table.columns:
         values = [joint_values[column.name] for joint_values in surveyed.columns if column.name in joint_values]
         if time is not None and column.name == time.name:
@@ -212,6 +214,8 @@ def time_of(surveyed: SurveyedTable) -> tuple[ListedColumn | None, tuple[str, ..
             return column, (units,), f"{units} stands {location_text}"
     if columns:
         column, values = columns[0]
+        if text := unit_of(str(column.name)):
+            return column, tuple(EPOCHS), f"its unit is {text}, which is not known"
         likely_units, reason = units_of_time(values)
         return column, tuple(likely_units), reason
     return None, (), "no column that increases has a name for stamps"

@@ -29,6 +29,9 @@ LARGEST_GAIN_ERROR: Final = 0.001  # relative standard error of a gain that deci
 LEAST_EXPLAINED_SHARE: Final = 0.95  # share of a velocity that the angle's change has to explain
 SETPOINT_TOLERANCE: Final = 0.05  # relative, of a reading to its setpoint
 FEWEST_JUMPS: Final = 2  # of an angle, by which it counts as wrapped
+NEIGHBOURS: Final = 3  # steps on either side of a jump, by which the travel there is measured
+TURN_TOLERANCE: Final = 0.05  # relative, of a jump with the travel around it to a turn
+LEAST_WRAP_SHARE: Final = 0.8  # of the jumps of a wrapped angle
 AMPERES: Final = (0.05, 5.0)  # largest current of a log in A; no actuator moves with such a current in mA
 VOLTS: Final = (0.5, 60.0)  # largest voltage of a log in V; windings have more mV, and rigs of more V are asked for
 SHORTEST_ROW_INTERVAL_S, LONGEST_ROW_INTERVAL_S = 2e-5, 10.0  # between rows of a log, in the median
@@ -41,22 +44,40 @@ class AngleWrap(NamedTuple):
     """Wrap of an angle: the size of its jumps, and the unit in which that is a turn."""
 
     units: str
-    period: float  # size of a jump, in the unit of the column
+    period: float  # a turn, in the unit of the column
     jumps: int  # number of jumps
+    jump: float  # median size of a jump, in the unit of the column
 
 
 def find_wrap(values: Array) -> AngleWrap | None:
-    """Find the unit of a wrapped angle; None if it does not wrap, or its jumps are not a turn in any unit."""
+    """Find the unit of a wrapped angle; None if it does not wrap, or its jumps are not a turn in any unit.
+
+    A jump of a wrap goes against the travel around it, and together they are a turn; a step of a setpoint from one
+    level to another is none.
+    """
     finite_values = values[np.isfinite(values)]
     if len(finite_values) < FEWEST_JUMPS + 1:
         return None
     value_range = float(np.ptp(finite_values))
-    steps = np.abs(np.diff(finite_values))
+    steps = np.diff(finite_values)
     for period, units in TURNS.items():
-        jumps = int((steps > 0.8 * period).sum())
-        if 0.9 * period <= value_range <= 1.001 * period and jumps >= FEWEST_JUMPS and jumps < 0.2 * len(steps):
-            return AngleWrap(units, period, jumps)
+        jumps = np.flatnonzero(np.abs(steps) > 0.8 * period)
+        if 0.9 * period <= value_range <= 1.001 * period and FEWEST_JUMPS <= len(jumps) < 0.2 * len(steps):
+            travel = travel_around(steps, jumps, 0.5 * period)
+            turns = np.abs(steps[jumps]) + np.abs(travel)
+            are_wraps = (steps[jumps] * travel < 0.0) & (np.abs(turns / period - 1.0) < TURN_TOLERANCE)
+            if are_wraps.sum() >= max(FEWEST_JUMPS, LEAST_WRAP_SHARE * len(jumps)):
+                return AngleWrap(units, period, int(are_wraps.sum()), float(np.median(np.abs(steps[jumps]))))
     return None
+
+
+def travel_around(steps: Array, jumps: npt.NDArray[np.intp], largest: float) -> Array:
+    """Return the mean of up to `NEIGHBOURS` steps on either side of each jump; only steps below `largest` count."""
+    small_steps = np.pad(np.where(np.abs(steps) < largest, steps, np.nan), NEIGHBOURS, constant_values=np.nan)
+    shifts = [shift for shift in range(2 * NEIGHBOURS + 1) if shift != NEIGHBOURS]
+    around = np.stack([small_steps[jumps + shift] for shift in shifts])
+    known = np.isfinite(around)
+    return np.asarray(np.where(known, around, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), np.float64)
 
 
 class ColumnSeries(NamedTuple):
@@ -117,11 +138,13 @@ def equals_setpoint(measured: ColumnSeries, setpoint: ColumnSeries, quantity: st
 def units_of_time(stamps: Array, candidates: Sequence[str] = tuple(EPOCHS)) -> tuple[list[str], str]:
     """Return the candidates that may be the unit of stamps, and the reason."""
     median_stamp = float(np.median(stamps))
-    for units, epoch in EPOCHS.items():
-        if epoch <= median_stamp <= 2.2 * epoch:
-            return [units], f"about {median_stamp:.4g} is a date of these years in {units}"
     interval = float(np.median(np.diff(stamps))) if len(stamps) > 1 else math.nan
     shortest, longest = SHORTEST_ROW_INTERVAL_S, LONGEST_ROW_INTERVAL_S
+    for units, epoch in EPOCHS.items():
+        # stamps in us since a start may be as large as dates in s
+        is_likely = math.isnan(interval) or shortest <= interval * SECONDS[units] <= longest
+        if epoch <= median_stamp <= 2.2 * epoch and is_likely:
+            return [units], f"about {median_stamp:.4g} is a date of these years in {units}"
     likely_units = [units for units in candidates if shortest <= interval * SECONDS[units] <= longest]
     return likely_units, f"{interval:.4g} from row to row"
 
@@ -167,5 +190,5 @@ def units_by_range(quantity: str, values: Array) -> tuple[str, str]:
         if low > 250.0 and high < 600.0:
             return "K", f"{range_text}; no log begins so hot in degC or degF"
     if quantity.startswith("angle") and (wrap := find_wrap(values)):
-        return wrap.units, f"{wrap.jumps} jumps by {wrap.period:.4g}, a turn in {wrap.units}"
+        return wrap.units, f"{wrap.jumps} jumps by {wrap.jump:.4g}, with the travel there a turn in {wrap.units}"
     return "", ""

@@ -8,6 +8,7 @@ A `builtin_interfaces/Time` counts as seconds; `log_time` and `publish_time` are
 has no such field. All three count from the first message of the log, so that nanoseconds survive.
 """
 
+import math
 import re
 from array import array
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -89,6 +90,8 @@ class ColumnPath(NamedTuple):
 class MessageSource:
     """Source over a log of messages."""
 
+    remarks: Sequence[str] = ()
+
     def __init__(self, log: OpenLog, request: SourceRequest) -> None:
         self.path, self._log = log.path, log
         self.began: datetime | None = None
@@ -113,8 +116,8 @@ class MessageSource:
         column = self._columns[path]
         if not column.rows:
             raise MissingColumn(f"{self.path}: {self._empty_column_text(path)}")
-        if column.error:
-            raise MissingColumn(column.error)
+        if column.error or not column.known:
+            raise MissingColumn(column.error or column.lack)
         order = column.order()
         if column.texts:
             return [column.texts[row] for row in order]
@@ -127,7 +130,8 @@ class MessageSource:
     def field(self, name: str | int) -> float | str:
         """Return the value of a column that never changes."""
         values = self.column(name, None)
-        distinct_values = set(values) if isinstance(values, list) else set(values[np.isfinite(values)].tolist())
+        texts_or_numbers = values if isinstance(values, list) else values[np.isfinite(values)].tolist()
+        distinct_values = set(texts_or_numbers) - {""}
         if len(distinct_values) != 1:
             raise MissingColumn(f"{self.path}: {name!r} holds {len(distinct_values)} values where one was expected")
         value = distinct_values.pop()
@@ -185,7 +189,7 @@ class MessageSource:
     def _put_value(
         self, column: "_CollectedColumn", path: ColumnPath, message: Message, tree: Any, names: Names
     ) -> None:
-        """Add the value at a path in a message to its column; a message that lacks it becomes the column's error."""
+        """Add the value at a path in a message to its column; another kind of value becomes the column's error."""
         if column.error:
             return
         try:
@@ -197,16 +201,21 @@ class MessageSource:
             else:
                 value = self._value(tree, path, message, names)
             column.put(value, message.log_ns)
+        except _NoValue as lack:
+            column.put_missing(f"{self._location(message)} {lack}", message.log_ns)
         except MissingColumn as error:
-            location = f"{self.path}: {message.topic} message {self._counts[message.topic] - 1}"
-            column.error, column.rows = f"{location} {error}", column.rows + 1
+            column.error, column.rows = f"{self._location(message)} {error}", column.rows + 1
+
+    def _location(self, message: Message) -> str:
+        """Return file, topic and number of the latest message of a topic."""
+        return f"{self.path}: {message.topic} message {self._counts[message.topic] - 1}"
 
     def _value(self, tree: Any, path: ColumnPath, message: Message, names: Names) -> Any:
         """Return the value at a path in a message; stamps become seconds since the first message of the log.
 
         Raises
         ------
-        MissingColumn : a field of the path is missing.
+        _NoValue : the message lacks a field of the path, or the field is null.
         """
         assert self._first_ns is not None
         if path.steps in RECORDER and _child(tree, path.steps[0]) is None:
@@ -217,7 +226,7 @@ class MessageSource:
             child = _element(node, step, names) if is_list else _child(node, step)
             if child is None:
                 fields = ", ".join(_fields(node)) or f"a value of {type(node).__name__}"
-                raise MissingColumn(f"has no {step!r} in {path_so_far or 'it'}, which has {fields}")
+                raise _NoValue(f"has no {step!r} in {path_so_far or 'it'}, which has {fields}")
             node, path_so_far = child, f"{path_so_far}.{step}".strip(".")
         stamp = _nanoseconds(node)
         return node if stamp is None else as_float(stamp - self._first_ns) * 1e-9
@@ -267,6 +276,10 @@ class MessageSource:
         return f"topic {path.topic} has no message"
 
 
+class _NoValue(MissingColumn):
+    """A message has no value at a path; another message may have one."""
+
+
 class _CollectedColumn:
     """Values of one column in the order of reading, with the recorder's stamps."""
 
@@ -274,6 +287,7 @@ class _CollectedColumn:
         self.values, self.log_ns = array("d"), array("Q")
         self.texts: list[str] = []
         self.rows, self.error = 0, ""
+        self.known, self.lack = 0, ""  # number of rows with a value, and what the first message without one lacks
         self._latest_ns, self._was_reset = 0, False
 
     def put(self, value: Any, log_ns: int) -> None:
@@ -283,12 +297,27 @@ class _CollectedColumn:
         ------
         MissingColumn : the value is neither a number nor, like all values before it, a text.
         """
-        if isinstance(value, str) and self.rows == len(self.texts):
+        if isinstance(value, str) and (self.texts or not self.known):
+            self.texts = self.texts or [""] * self.rows
             self.texts.append(value)
         elif isinstance(value, NUMBERS) and not self.texts:
             self.values.append(as_float(value))
         else:
             raise MissingColumn(f"holds {_described(value)} where a number was expected")
+        self.known += 1
+        self._put_stamp(log_ns)
+
+    def put_missing(self, lack: str, log_ns: int) -> None:
+        """Add a row without a value: NaN in a column of numbers, an empty text in one of texts."""
+        self.lack = self.lack or lack
+        if self.texts:
+            self.texts.append("")
+        else:
+            self.values.append(math.nan)
+        self._put_stamp(log_ns)
+
+    def _put_stamp(self, log_ns: int) -> None:
+        """Add the recorder's stamp of a row."""
         self.log_ns.append(log_ns)
         self.rows += 1
         self._was_reset |= log_ns < self._latest_ns - RESET_NS

@@ -86,6 +86,7 @@ class ListedTable(NamedTuple):
     time: ListedColumn | None = None  # the column of stamps, if the format defines one
     joints: tuple[str, ...] = ()  # names that may replace `{joint}` in `records`
     run: tuple[tuple[str, str | bool], ...] = ()  # root attributes of the run that the file declares
+    left_out: tuple[tuple[str | int, str], ...] = ()  # names of columns that cannot be read as numbers, and the reasons
 
 
 class LogSource(Protocol):
@@ -93,6 +94,7 @@ class LogSource(Protocol):
 
     path: Path
     began: datetime | None  # start of the recording, if the file has it
+    remarks: Sequence[str]  # what was left out of the file, for a person to check
 
     def column(self, name: str | int, records: str | None) -> Array | list[str]:
         """Return a column: numbers, or texts if it holds any text."""

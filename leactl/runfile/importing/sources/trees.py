@@ -2,7 +2,7 @@
 
 import re
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -33,6 +33,8 @@ class Undecoded:
 
 class TreeSource:
     """Source over a tree of dicts, lists and arrays."""
+
+    remarks: Sequence[str] = ()
 
     def __init__(self, path: Path, tree: Any, began: datetime | None = None) -> None:
         self.path, self._tree, self.began = path, tree, began
@@ -91,6 +93,7 @@ class TreeSource:
     def _walk(self, node: Any, path: str, is_column: bool = False) -> Any:
         """Return the node at a path; the last index of a column selects one of a matrix with samples as rows."""
         parent: Any = None
+        is_gathered = False  # whether the node holds one value for each of a list of records
         if _has_key(node, path):
             return self._child(node, path, "")
         steps = list(_STEP.finditer(path))
@@ -104,7 +107,10 @@ class TreeSource:
             parent_path = path[: steps[position - 1].end()] if position else ""
             if is_column and isinstance(key, int) and position + 1 == len(steps) and _is_by_column(node, parent):
                 return self._indexed(node, key, parent_path)
-            parent, node = node, self._child(node, key, parent_path)
+            gathers = isinstance(key, str) and isinstance(node, list)
+            child_of = self._children if is_gathered else self._child
+            parent, node = node, child_of(node, key, parent_path)
+            is_gathered = is_gathered or gathers
             position += count
         return node
 
@@ -133,6 +139,25 @@ class TreeSource:
                 raise MissingColumn(f"{self.path}: no record of {location} has {key!r}; they have {keys_text}")
             return [item.get(key) for item in node]  # None for a record without this key
         raise MissingColumn(f"{self.path}: {location} has no {key!r}; it is {_described(node)}")
+
+    def _children(self, nodes: list[Any], key: str | int, parent_path: str) -> list[Any]:
+        """Return the child of each record's node by its key or index; None for a record without this child.
+
+        Raises
+        ------
+        MissingColumn : no record has such a child.
+        """
+        values = [
+            node.get(key)
+            if isinstance(node, dict)
+            else node[key]
+            if isinstance(node, list) and isinstance(key, int) and key < len(node)
+            else None
+            for node in nodes
+        ]
+        if all(value is None for value in values):
+            raise MissingColumn(f"{self.path}: {parent_path} has no {key!r} in any record; it is {_described(nodes)}")
+        return values
 
     def _as_column(self, node: Any, name: str | int) -> Array | list[str]:
         """Convert a node to a column of numbers, or of texts if all its values are texts.

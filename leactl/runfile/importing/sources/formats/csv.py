@@ -13,10 +13,11 @@ import numpy.typing as npt
 from leactl.errors import InputError
 from leactl.runfile.importing.mapping import as_label
 from leactl.runfile.importing.sources.source import ListedColumn, ListedTable, MissingColumn, SourceRequest
-from leactl.tables.columns import Columns
+from leactl.tables.columns import Columns, CsvForm
 
 Array = npt.NDArray[np.float64]
 ENDINGS = (".csv", ".txt", ".tsv")
+TAIL_BYTES = 8192  # of a file, whose rows tell whether the last one is cut; an even number, for UTF-16
 SURVEYED_ROWS = 200  # leading rows by which a column is judged to be numeric
 
 
@@ -49,6 +50,11 @@ class CsvSource(Columns):
             settings_prefix="csv.",
             most_rows=SURVEYED_ROWS if requested is None else None,
         )
+        self.remarks: list[str] = []
+        if requested is not None and self.lines and self.lines[-1] == self.last_line:
+            lengths = lengths_of_last_cells(path, form, len(self.lines))
+            if len(lengths) > 1 and lengths[-1] < min(lengths[:-1]):
+                self.remarks.append(f"the last row, line {self.drop_last_row()}, has no end and is cut: left out")
         if not self.lines:
             raise InputError(f"{path}: no row of numbers after line {(form.data_line or form.header_line + 1) - 1}")
 
@@ -105,6 +111,7 @@ class CsvSource(Columns):
         Its stamps are the first column of dates with a time of day, if there is one.
         """
         listed = []
+        left_out: list[tuple[str | int, str]] = []
         time: ListedColumn | None = None
         for index, cells in sorted(self._columns.items()):
             name = self.names[index] if index < len(self.names) else ""
@@ -117,7 +124,29 @@ class CsvSource(Columns):
                 listed.append(ListedColumn(column, why_unnamed=why_unnamed))
             elif time is None and all(map(is_moment, texts)):
                 time = ListedColumn(column, "iso8601", "ISO 8601, as its cells are")
-        return [ListedTable(None, tuple(listed), time=time)]
+            elif 2 * sum(map(self.is_number, texts)) > len(texts):
+                row, cell = next((row, text) for row, text in enumerate(texts) if not self.is_number(text))
+                left_out.append(
+                    (
+                        column,
+                        f"{cell!r} in line {self.lines[row]} is no number; csv.missing has what marks a missed sample",
+                    )
+                )
+        return [ListedTable(None, tuple(listed), time=time, left_out=tuple(left_out))]
+
+
+def lengths_of_last_cells(path: Path, form: CsvForm, rows: int) -> list[int]:
+    """Return the lengths of the last cells of the last rows of a file; none if the file ends in a newline.
+
+    rows : number of rows that the file has.
+    """
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - TAIL_BYTES, 0))
+        text = file.read().decode(form.encoding, "ignore")
+    if text.endswith(("\n", "\r")):
+        return []
+    whole_lines = text.splitlines()[1:] if path.stat().st_size > TAIL_BYTES else text.splitlines()
+    return [len(line.rpartition(form.delimiter)[2].strip()) for line in whole_lines[-rows:]]
 
 
 def is_moment(text: str) -> bool:

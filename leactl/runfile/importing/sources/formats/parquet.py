@@ -23,7 +23,7 @@ from leactl.runfile.importing.sources.trees import MOST_COLUMNS, TreeSource
 
 ENDINGS = (".parquet", ".pq")
 VALUE_BYTES: Final = 8  # of a number in memory
-PER_SECOND: Final = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+NANOSECONDS: Final = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}  # by the unit of a column of timestamps
 MOST_INFO_BYTES: Final = 1 << 24  # of a dataset's `meta/info.json`
 META_DEPTH: Final = 3  # folders above an episode of LeRobot to its dataset: data/chunk-000/episode_000000.parquet
 
@@ -123,12 +123,17 @@ def columns_of(
     """Return the columns by name, their declarations, and the earliest timestamp of any column."""
     tree: dict[str, Any] = {}
     listed: list[ListedColumn] = []
-    first_stamps: list[datetime] = []
+    first_stamps = [
+        first_stamp(column, field.type.unit, arrow)
+        for field, column in zip(table.schema, table.columns, strict=True)
+        if arrow.types.is_timestamp(field.type)
+    ]
+    known_stamps = [stamp for stamp in first_stamps if stamp is not None]
+    origin_ns = min(known_stamps, default=0)  # one for all, or the time from one column to another is lost
     for field, column in zip(table.schema, table.columns, strict=True):
         kind, declared = field.type, declared_column(field.name, texts_of(field.metadata))
         if arrow.types.is_timestamp(kind):
-            tree[field.name], first_stamp = seconds(column, kind.unit, arrow)
-            first_stamps += [first_stamp] if first_stamp else []
+            tree[field.name] = seconds(column, kind.unit, origin_ns, arrow)
             listed.append(ListedColumn(field.name, "s", "the type of its column"))
         elif arrow.types.is_string(kind) or arrow.types.is_large_string(kind) or arrow.types.is_dictionary(kind):
             tree[field.name] = texts(column)
@@ -144,7 +149,7 @@ def columns_of(
         elif is_number(kind, arrow):
             tree[field.name] = column.cast(arrow.float64(), safe=False).to_numpy()
             listed.append(declared)
-    return tree, listed, min(first_stamps, default=None)
+    return tree, listed, moment_of(origin_ns) if known_stamps else None
 
 
 def texts_of(metadata: dict[bytes, bytes] | None) -> dict[str, str]:
@@ -202,19 +207,26 @@ def lengths(chunk: Any) -> Any:
     return [chunk.type.list_size] if hasattr(chunk.type, "list_size") else np.unique(np.diff(chunk.offsets.to_numpy()))
 
 
-def seconds(column: Any, unit: str, arrow: Any) -> tuple[Any, datetime | None]:
-    """Convert timestamps to seconds since the first one, and return the first one too."""
-    counts = column.cast(arrow.int64())
-    first_count = next((count.as_py() for count in counts if count.is_valid), None)
-    if first_count is None:
-        return np.full(len(column), np.nan), None
-    elapsed = np.array(
-        [np.nan if value is None else (value - first_count) / PER_SECOND[unit] for value in counts.to_pylist()]
+def first_stamp(column: Any, unit: str, arrow: Any) -> int | None:
+    """Return the first of a column of timestamps [ns]; None if it has none."""
+    counts = column.cast(arrow.int64()).drop_null()
+    return int(counts[0].as_py()) * NANOSECONDS[unit] if len(counts) else None
+
+
+def seconds(column: Any, unit: str, origin_ns: int, arrow: Any) -> Any:
+    """Convert timestamps to seconds since an origin [ns]; a null is NaN."""
+    counts = column.cast(arrow.int64()).to_pylist()
+    return np.array(
+        [np.nan if count is None else (count * NANOSECONDS[unit] - origin_ns) / NANOSECONDS["s"] for count in counts]
     )
+
+
+def moment_of(stamp_ns: int) -> datetime | None:
+    """Return the moment of a stamp [ns]; None if it is beyond any calendar."""
     try:
-        return elapsed, datetime.fromtimestamp(first_count / PER_SECOND[unit], UTC)
+        return datetime.fromtimestamp(stamp_ns / NANOSECONDS["s"], UTC)
     except (OverflowError, ValueError, OSError):
-        return elapsed, None
+        return None
 
 
 def texts(column: Any) -> list[str]:
