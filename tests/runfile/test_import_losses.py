@@ -124,6 +124,7 @@ streams: {loop: {records: log, time: {column: t}, channels: {q: {column: "q[2]",
     np.testing.assert_array_equal(angle, [math.nan if k == 7 else k for k in range(40)])
     with pytest.raises(InputError, match="has no 3 in any record"):
         imported(tmp_path, "a.json", mapping.replace("q[2]", "q[3]"), "other")
+    assert 'column: "q[1]", quantity: angle' in propose(survey(tmp_path / "a.json"), {}).text
 
 
 def test_a_message_without_a_value_has_nan_and_one_field_that_none_has_is_told(tmp_path):

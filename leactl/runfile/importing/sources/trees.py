@@ -19,6 +19,7 @@ from leactl.runfile.importing.sources.source import ListedColumn, ListedTable, M
 Array = npt.NDArray[np.float64]
 FEWEST_ROWS = 2  # of a table
 MOST_COLUMNS = 64  # of a matrix whose columns are listed
+MOST_ELEMENTS = 64  # of a list in each record, which are listed as columns
 SURVEYED_ROWS = 200  # leading rows by which a column is judged to be numeric
 LONGEST_PATH = 200  # characters; deeper nodes are not listed
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
@@ -282,7 +283,7 @@ def _tables(node: Any, path: str) -> Iterator[ListedTable]:
 
 
 def _columns_of_records(items: list[dict[str, Any]], path: str) -> Iterator[str]:
-    """Yield the paths of the numbers in records and their nested records."""
+    """Yield the paths of the numbers in records, in their nested records, and in their lists of one length."""
     for name in dict.fromkeys(str(name) for item in items for name in item):
         values = [item.get(name) for item in items]
         child_path = f"{path}.{name}" if path else name
@@ -290,6 +291,9 @@ def _columns_of_records(items: list[dict[str, Any]], path: str) -> Iterator[str]
             yield child_path
         elif all(isinstance(value, dict) for value in values) and len(child_path) < LONGEST_PATH:
             yield from _columns_of_records(values, child_path)  # type: ignore[arg-type]
+        elif all(isinstance(value, list) and all(map(_is_number, value)) for value in values):
+            lengths = {len(value) for value in values}  # type: ignore[arg-type]
+            yield from (f"{child_path}[{index}]" for index in range(min(lengths)) if max(lengths) <= MOST_ELEMENTS)
 
 
 def _is_column(value: Any) -> bool:
