@@ -27,6 +27,7 @@ class Bench:
         self.file, self.clock, self.wait_for_disk = file, wiring.clock, wiring.wait_for_disk
         self.apply_weight_torque = wiring.apply_weight_torque
         ports: dict[str, Any] = {name: _port(name, bus, wiring) for name, bus in file.buses.items()}
+        self.not_confirmed = ""  # the devices that a failed `open` left unconfirmed, and why
         self.drivers: dict[str, Driver] = {}
         self.drives: dict[str, Driver] = {}
         self.provenance = {device.name: Provenance(device.entry) for device in devices}
@@ -108,7 +109,7 @@ class Bench:
                         for device, confirmation in confirmations.items()
                         if not confirmation.detail.endswith(cause)
                     }
-                not_confirmed = unconfirmed_devices(confirmations, cause)
+                not_confirmed = self.not_confirmed = unconfirmed_devices(confirmations, cause)
                 self.close()
                 if not isinstance(error, DeviceError):
                     if not_confirmed:

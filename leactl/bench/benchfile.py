@@ -14,7 +14,7 @@ from leactl.driver import registry
 from leactl.driver.contract import SAFE_STATE_S, DriverSettings
 from leactl.driver.file_records import RecordSettings
 from leactl.errors import InputError
-from leactl.model.motor import load_motor
+from leactl.model.motor import load_motor, motor_names
 from leactl.model.nominal import BenchModel
 from leactl.quantities import UNITS
 from leactl.runfile.instruments import Instrument
@@ -240,7 +240,22 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
     faults += [document.fault(("interlocks", *keys), text) for keys, text in bench.interlocks.beyond(bench.limits)]
     if faults:
         raise InputError(faults)
-    return bench, usable, document
+    return _with_motor_paths(bench, path.parent), usable, document
+
+
+def _with_motor_paths(bench: BenchFile, folder: Path) -> BenchFile:
+    """Return the bench with the relative paths of its motor files taken from the folder of the bench file.
+
+    From the working directory they could lead to the file of another motor, and the guard would protect that one.
+    """
+
+    def located(motors: Mapping[Literal["test", "load"], str]) -> dict[Literal["test", "load"], str]:
+        return {role: name if name in motor_names() else str(folder / name) for role, name in motors.items()}
+
+    emulated = bench.emulated
+    if emulated is not None:
+        emulated = emulated.model_copy(update={"motors": located(emulated.motors)})
+    return bench.model_copy(update={"motors": located(bench.motors), "emulated": emulated})
 
 
 def devices_of_run(devices: Sequence[CheckedDevice], quantities: Collection[str]) -> list[CheckedDevice]:
@@ -276,6 +291,11 @@ def nominal_model(bench: BenchFile) -> str:
 def host_silences(devices: Sequence[CheckedDevice]) -> dict[str, float | None]:
     """Return for how long each device runs on without the host's heartbeat [s], by name; None if it monitors none."""
     return {device.name: device.settings.host_silence_s for device in devices}
+
+
+def supplies_of(devices: Sequence[CheckedDevice]) -> list[str]:
+    """Return the names of the power supplies among some devices."""
+    return [device.name for device in devices if hasattr(registry.load(device.entry.driver), "switch_on")]
 
 
 def changed_buses(bench: BenchFile, words: Sequence[str]) -> dict[str, CanBus | LineBus]:

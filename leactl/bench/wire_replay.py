@@ -376,7 +376,11 @@ def _call_in_line(path: Path, line: TraceLine, bench: Bench) -> Callable[[], Any
     if driver is None or not callable(function) or not isinstance(arguments, list):
         raise InputError(f"{path}:{line.number}  '{line.owner} = {line.text[:40]}': no call of a device of this bench")
     if name == "engage":
-        arguments = [Mode(*arguments)]
+        try:
+            arguments = [Mode(*arguments)]
+        except (ValueError, TypeError):
+            modes = ", ".join(mode.value for mode in Mode)
+            raise InputError(f"{path}:{line.number}  '{line.text[:40]}': one of {modes} was expected") from None
     if name == "end_cycle":
         return lambda: (function(*arguments), driver.values)[1]  # type: ignore[attr-defined]
     return lambda: function(*arguments)

@@ -101,7 +101,7 @@ def plan(
     one_sensor_texts: list[str] = []
     if bench:
         from leactl.bench.bench import Bench
-        from leactl.bench.benchfile import host_silences
+        from leactl.bench.benchfile import host_silences, supplies_of
         from leactl.bench.wiring import MachineWiring
         from leactl.runner.checked_bench import load_checked
         from leactl.runner.plan_needs import check_plan_needs, windings_without_second_sensor
@@ -115,7 +115,7 @@ def plan(
         machine_bench = Bench(file, devices, MachineWiring())
         check_plan_needs(expanded, machine_bench)
         one_sensor_texts = windings_without_second_sensor(expanded, machine_bench)
-        check_rate(expanded.rate_Hz, host_silences(devices))
+        check_rate(expanded.rate_Hz, host_silences(devices), supplies_of(devices))
         limits = file.limits
         windings = Windings(file, devices, "", cold=True)
         forecast = windings.forecast(expanded)

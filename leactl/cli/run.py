@@ -105,6 +105,7 @@ def run(
 ) -> None:
     """Run a protocol on a bench: every setpoint supervised, every sample in one run file."""
     from leactl.errors import InputError
+    from leactl.report.outputs import check_folder
     from leactl.runner.acceptance import judge_outcome
     from leactl.runner.event_lines import STDOUT, EventLines
     from leactl.runner.request import prepare
@@ -124,6 +125,7 @@ def run(
     if dry_run:
         print_dry_run(request, as_json)
         return
+    check_folder(request.directory)
     with (
         signals_kept_to_the_end(),
         page as open_page,

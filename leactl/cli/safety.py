@@ -209,7 +209,9 @@ def _real_drill(bench: str, only: list[str], yes: bool, served: bool, bus: list[
 def _make_folder(directory: Path) -> None:
     """Make the folder of `--out`; raise InputError if that fails."""
     from leactl.errors import InputError
+    from leactl.report.outputs import check_folder
 
+    check_folder(directory)
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 NAME = re.compile(r"[a-z][A-Za-z0-9_]*\Z")
 REFERENCE = re.compile(r"\$([a-z][A-Za-z0-9_]*)\Z")
+RESERVED_NAMES = {"seed": "`--set seed=N` is that of an emulated bench"}
 LITERAL_KEYS = ("name", "parameters", "conditions")  # keys of the file whose values keep `$name` as it is
 UNKNOWN_TEXT = "is no parameter"
 EXPECTED_VALUES = "a finite number, a text that is no $name, or a list of one of these was expected"
@@ -89,6 +90,8 @@ def resolve(document: Document, overrides: Mapping[str, str], condition: str, fa
             faults.append(
                 document.fault(("parameters", name), "a name of a letter a-z, then letters, digits, _ was expected")
             )
+        elif name in RESERVED_NAMES:
+            faults.append(document.fault(("parameters", name), f"another name was expected: {RESERVED_NAMES[name]}"))
         elif _kind(value) is None:
             faults.append(document.fault(("parameters", name), f"{shown(value)}: {EXPECTED_VALUES}"))
         resolved.set_value(name, value, f"line {document.places['parameters', name][0]}")

@@ -453,12 +453,14 @@ class Loop:
         samples_by_stream: dict[str, list[float]] = {name: [] for names in devices.values() for name in names}
         if not samples_by_stream:
             raise InputError(f"bench '{self._bench.file.name}' has no torque sensor to tare")
-        self._newest.clear()
+        last_rows = dict(self._newest)
         while min(len(values) for values in samples_by_stream.values()) < samples:
             self._cycle()
             for name, values in samples_by_stream.items():
-                if name in self._newest:
-                    values.append(self._newest.pop(name)[0])
+                row = self._newest.get(name)
+                if row is not None and row is not last_rows.get(name):
+                    values.append(row[0])
+                    last_rows[name] = row
         self._planned_done_s += samples * self._period
         for driver, names in devices.items():
             means = {name: sum(samples_by_stream[name]) / len(samples_by_stream[name]) for name in names}

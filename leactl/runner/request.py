@@ -150,7 +150,7 @@ def _request(
     """Check the rate of a plan with the devices of its run, and return the request."""
     file, all_devices, document = loaded
     devices = all_devices if everything else benchfile.devices_of_run(all_devices, {*plan.needs, *plan.wants})
-    check_rate(plan.rate_Hz, benchfile.host_silences(devices))
+    check_rate(plan.rate_Hz, benchfile.host_silences(devices), benchfile.supplies_of(devices))
     return Request(
         plan=plan,
         bench=file,

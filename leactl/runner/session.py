@@ -111,7 +111,13 @@ def execute(
             for source in (announcement.stop_cause, *stops):
                 stop.add_source(source)
             with windings.remembered(before_writing=announcement.renew):
-                bench.open()
+                try:
+                    bench.open()
+                except BaseException as error:
+                    if bench.not_confirmed:  # an earlier program may have left it on
+                        watchdog.take_over(bench.not_confirmed)
+                        _set_latch(bench_latch, error, request.directory)
+                    raise
                 try:
                     operator_input = OperatorInput(partial(_toggle_pause, announcement, pauses), announcement.remarks)
                     control = RunControl(stop, operator_input, operator)

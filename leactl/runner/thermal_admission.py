@@ -42,20 +42,25 @@ class Windings:
 
         Parameters
         ----------
-        actuator : label of the actuator under test; without one, the bench's name and the role are the label.
+        actuator : label of the actuator under test; without one, the bench's name and the role are the label. What
+            is remembered of a labelled actuator is remembered for this label too: a later run may give none.
         cold : a person says that nothing has heated the actuators.
         recalled : bounds by role that replace those of the memory.
 
         Raises
         ------
-        InputError : a motor file that cannot be used, or one without tolerances; a label that names no file.
+        InputError : a motor file that cannot be used, or one without tolerances; a label that names no file, or that
+            is another winding's.
         """
         check_label("--actuator", actuator)
         self.motors = motors_of(bench)
         self.fed = as_fed(self.motors, devices)
         self.settings = guard_settings(bench, devices, self.motors)
         limit, ambient = self.settings.limit, self.settings.ambient
-        self.names = {role: actuator if role == "test" and actuator else f"{bench.name}.{role}" for role in self.motors}
+        labels_of_bench = {role: f"{bench.name}.{role}" for role in self.motors}
+        if actuator in (label for role, label in labels_of_bench.items() if role != "test"):
+            raise InputError(f"--actuator {actuator}: is the label of another winding of bench '{bench.name}'")
+        self.names = labels_of_bench | ({"test": actuator} if actuator else {})
         folder = folder_of(bench, emulated_here)
         memories = {
             role: Memory(self.names[role], motor, limit, ambient, folder) for role, motor in self.motors.items()
@@ -72,6 +77,12 @@ class Windings:
         self.guard = ThermalGuard(self.fed, self.settings, start)
         self._latest_forecast: tuple[Plan, Forecast] | None = None
         self.keeper = None if emulated_here else Keeper(memories, lambda: self.guard.node_bounds, ClockReadings.now)
+        if self.keeper is not None and self.names["test"] != labels_of_bench["test"]:
+            unlabelled = Memory(labels_of_bench["test"], self.motors["test"], limit, ambient, folder)
+            known = unlabelled.known or bench.emulated is None
+            found = unlabelled.recall(ClockReadings.now()) if known and not cold else unlabelled.cold()
+            if found.left_on is None:  # else it stays as it is: a supply may still be on
+                self.keeper.further["test"] = unlabelled, found.nodes
         self.may_be_left_on(
             {
                 role: recalled_bounds.left_on

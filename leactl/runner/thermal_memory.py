@@ -204,6 +204,8 @@ class Keeper:
         self, memories: dict[str, Memory], nodes: Callable[[], dict[str, Array]], clock: Callable[[], ClockReadings]
     ) -> None:
         self._memories, self._nodes, self._clock = memories, nodes, clock
+        # by role, of the same winding under another label, with the bounds that it has at least
+        self.further: dict[str, tuple[Memory, Array]] = {}
         self._ended = threading.Event()
         self._fault = ""
         self._written = clock()
@@ -240,7 +242,7 @@ class Keeper:
         self._thread.join(OVERDUE_S)
         with suppress(OSError):
             self._write(running=self.doubted)
-        for memory in self._memories.values():
+        for memory in (*self._memories.values(), *(memory for memory, _least in self.further.values())):
             memory.close_file()
 
     def _write_on(self) -> None:
@@ -262,7 +264,11 @@ class Keeper:
         now = self._clock()
         for role, nodes in self._nodes().items():
             left_on = None if self.seen_off else self.left_on.get(role)
-            self._memories[role].keep(nodes, now, running or left_on is not None, left_on)
+            is_heated = running or left_on is not None
+            self._memories[role].keep(nodes, now, is_heated, left_on)
+            if role in self.further:
+                memory, least = self.further[role]
+                memory.keep(np.maximum(nodes, least), now, is_heated, left_on)
         self._written = now
 
 

@@ -1,6 +1,7 @@
 """Bench files: the shipped one is whole, and a fault in one is told with its place."""
 
 import json
+from importlib import resources
 
 import pytest
 from leactl_plugins.elmo_can.settings import ElmoSettings
@@ -10,6 +11,7 @@ from leactl.bench import benchfile
 from leactl.errors import InputError
 from leactl.model.motor import load_motor
 from leactl.model.nominal import Model
+from leactl.runner.thermal_admission import motors_of
 
 
 def text_of(name):
@@ -123,3 +125,18 @@ def test_the_nominal_model_is_the_motor_s_own_text_with_the_bench_around_it(tmp_
     nominal = yamlfile.parse(text, "nominal.yaml").validate(Model)
     assert (nominal.torque_constant, nominal.bench.bus_voltage) == (0.51, 29.6)
     assert nominal.bench.shaft_stiffness is None
+
+
+def test_a_motor_file_is_found_from_the_bench_file_and_not_from_the_working_directory(tmp_path, monkeypatch):
+    """Another motor's file of that name in the working directory would have the guard protect that motor."""
+    for folder, capacitance in (("bench", "22.9"), ("elsewhere", "200")):
+        (tmp_path / folder).mkdir()
+        motor = (resources.files("leactl.model") / "motors" / "lea.yaml").read_text()
+        motor = motor.replace("winding_capacitance: 22.9", f"winding_capacitance: {capacitance}")
+        (tmp_path / folder / "motor.yaml").write_text(motor)
+    path = tmp_path / "bench" / "bench.yaml"
+    path.write_text(text_of("emulated").replace("motors: {test: lea,", "motors: {test: motor.yaml,"))
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    bench = benchfile.load("../bench/bench.yaml")[0]
+    assert bench.motors == {"test": "../bench/motor.yaml", "load": "lea"}
+    assert motors_of(bench)["test"].thermal.winding_capacitance == 22.9

@@ -32,6 +32,11 @@ def test_a_condition_goes_over_a_default():
     assert loaded.parameters == {"levels_A": [4], "hold_s": 3, "unused": "text"}
 
 
+def test_a_name_that_the_command_line_has_for_itself_is_refused():
+    [told] = faults("hold: {duration_s: 1}", parameters="{seed: 1}")
+    assert "parameters.seed: another name was expected: `--set seed=N` is that of an emulated bench" in told
+
+
 def test_any_other_label_is_fine():
     assert levels(found("design")) == [1, 2]
 

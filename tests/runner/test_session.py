@@ -9,7 +9,7 @@ import pytest
 
 from leactl.bench import benchfile
 from leactl.driver.far_end import Frame
-from leactl.errors import DeviceFault, InputError, LeactlError, NoAnswer, SafetyTrip
+from leactl.errors import DeviceError, DeviceFault, InputError, LeactlError, NoAnswer, SafetyTrip
 from leactl.protocol import protocolfile
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
@@ -110,6 +110,33 @@ def test_a_damaged_latch_holds_the_bench(spin):
     path.write_text("{")
     with pytest.raises(SafetyTrip, match="cannot be read"):
         spin()
+
+
+def test_a_drive_that_a_failed_start_does_not_confirm_safe_latches_the_bench(spin):
+    def freeze(bench):
+        bench.far_ends["drive_test"].frozen = True
+
+    with pytest.raises(DeviceError, match="NOT CONFIRMED SAFE"):
+        spin(at=[(0.0, freeze)])
+    with pytest.raises(SafetyTrip, match="NOT CONFIRMED SAFE"):
+        spin()
+
+
+def test_a_tare_keeps_the_readings_that_a_condition_asks_for(spin):
+    text = """
+name: tared
+setup: locked
+rate_Hz: 100
+steps:
+  - hold: {duration_s: 1.1}
+  - tare: {samples: 3}
+  - when: {quantity: bus_voltage, role: test, above: 10, unit: V, steps: [{hold: {name: first, duration_s: 0.1}}]}
+  - tare: {samples: 5}
+  - when: {quantity: torque, role: test, above: -100, unit: N*m, steps: [{hold: {name: second, duration_s: 0.1}}]}
+"""
+    outcome, _bench = spin(text)
+    with Run.open(outcome.path) as run:
+        assert [step.name for step in run.steps if step.name in ("first", "second")] == ["first", "second"]
 
 
 def test_a_cable_pulled_out_fails_the_run_and_says_what_is_not_confirmed(spin):

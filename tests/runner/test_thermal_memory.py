@@ -280,6 +280,26 @@ def test_two_actuators_are_kept_side_by_side():
     assert memories["load"].recall(NOW).nodes == pytest.approx(WARM - 20.0, abs=0.1)
 
 
+def test_what_a_labelled_actuator_is_heated_by_is_remembered_without_its_label_too():
+    """A later jog has no label; what was hotter before the run stays so."""
+    unlabelled, nodes = memory("bench.test"), {"test": WARM}
+    for least in (WARM - 10.0, WARM + 15.0):
+        keeper = Keeper({"test": memory("LEA-9")}, lambda: nodes, lambda: NOW)
+        keeper.further["test"] = unlabelled, least
+        keeper.start()
+        keeper.stop()
+        assert memory("LEA-9").recall(NOW).nodes == pytest.approx(WARM, abs=0.1)
+        assert memory("bench.test").recall(NOW).nodes == pytest.approx(np.maximum(WARM, least), abs=0.1)
+
+
+def test_the_label_of_another_winding_is_refused():
+    bench, devices, _ = benchfile.load("emulated")
+    with pytest.raises(InputError, match=r"--actuator emulated\.load: is the label of another winding of bench"):
+        Windings(bench, devices, "emulated.load")
+    assert Windings(bench, devices, "emulated.test").keeper.further == {}
+    assert set(Windings(bench, devices, "LEA-9").keeper.further) == {"test"}
+
+
 def test_a_keeper_that_cannot_write_says_so_once_it_is_overdue(monkeypatch):
     monkeypatch.setattr(thermal_memory, "WRITING_INTERVAL_S", 3600.0)  # no writing but the first and the last
     clock = [NOW]

@@ -9,7 +9,7 @@ from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
 from leactl.safety.disk import BYTES_A_VALUE, COPIES, planned_bytes
 from leactl.safety.interlocks import Interlocks
-from leactl.safety.plan_checks import FEWEST_CYCLES_PER_TIMEOUT, check_rate
+from leactl.safety.plan_checks import FEWEST_CYCLES_PER_TIMEOUT, LEAST_RATE_WITH_SUPPLY_HZ, check_rate
 from leactl.safety.thermal.box import Box, Range
 from leactl.safety.thermal.turning import highest_speed
 from tests.safety.guards import LEA
@@ -24,6 +24,13 @@ def test_three_cycles_fall_into_the_time_that_a_device_goes_on_alone(silence):
         check_rate(0.99 * enough, {"drive": silence, "sensor": None})
     assert f"at least {enough:.4g} Hz was expected" in str(refused.value)
     assert len(refused.value.faults) == 1
+
+
+def test_a_supply_needs_a_loop_that_hears_of_a_stop():
+    check_rate(LEAST_RATE_WITH_SUPPLY_HZ, {"supply": None}, ["supply"])
+    check_rate(0.02, {"supply": None})
+    with pytest.raises(InputError, match=r"0\.02 Hz is too slow for supply, a supply: a stop waits for the next cycle"):
+        check_rate(0.02, {"supply": None}, ["supply"])
 
 
 def test_the_loop_is_planned_at_the_rate_it_is_recorded_and_others_at_their_own():

@@ -1,14 +1,15 @@
 """Make requests for the runs of a campaign, and report all faults of all runs before the first run begins."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
 from leactl.bench.benchfile import BenchFile
 from leactl.errors import InputError
-from leactl.protocol.plan import Prompt
+from leactl.model.motor import load_motor
+from leactl.protocol.plan import Prompt, Samples
 from leactl.runner.campaign.campaignfile import Campaign, CampaignStep
 from leactl.runner.campaign.order import Cell, hashed_number
 from leactl.runner.dry_run import Preview, preview
@@ -24,7 +25,7 @@ class CampaignEntry:
 
     cell: Cell
     request: Request
-    digest: str  # of everything that determines the run: key, protocol, parameters, bench, cooldown and seed
+    digest: str  # of everything that determines the run: key, protocol, parameters, signals, bench, motors, ...
     step: CampaignStep
 
     @property
@@ -110,6 +111,8 @@ def _entry(cell: Cell, campaign: Campaign, prepared: Request, step: CampaignStep
         "protocol": prepared.plan.text,
         "parameters": dict(prepared.plan.parameters),
         "bench": prepared.bench_document.text,
+        "motors": {role: load_motor(name)[1].text for role, name in prepared.bench.motors.items()},
+        "signals": [sha256(samples.values.tobytes()).hexdigest() for samples in _samples_in(prepared.plan.actions)],
         "insert_cooldown": step.insert_cooldown,
         "seed": seed,
     }
@@ -123,6 +126,19 @@ def _entry(cell: Cell, campaign: Campaign, prepared: Request, step: CampaignStep
         "digest": digest,
     }
     return CampaignEntry(cell, replace(prepared, actuator=cell.actuator, seed=seed, part_of=part_of), digest, step)
+
+
+def _samples_in(part: object) -> Iterator[Samples]:
+    """Yield the sampled signals in a part of a plan: a file that they come from may change between two runs."""
+    if isinstance(part, Samples):
+        yield part
+    elif isinstance(part, tuple | list):
+        for item in part:
+            yield from _samples_in(item)
+    elif isinstance(part, Mapping):
+        yield from _samples_in(list(part.values()))
+    elif is_dataclass(part):
+        yield from _samples_in([getattr(part, field.name) for field in fields(part)])
 
 
 def previews(

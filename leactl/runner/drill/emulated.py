@@ -20,6 +20,7 @@ from leactl.driver import registry
 from leactl.emulation.bench.emulated_bench import observed
 from leactl.emulation.faults.drilling import FaultRehearsal, rehearsals
 from leactl.errors import InputError, Stopped
+from leactl.model.motor import motor_names
 from leactl.protocol import by_hand
 from leactl.runfile.read.reader import Run
 from leactl.runfile.verify.integrity import verify
@@ -239,6 +240,12 @@ class EmulatedDrill:
         bench_path = self._directory / f"{name}.yaml"
         data = self._document.data
         data = data | {"emulated": {**data["emulated"], "faults": faults}}
+        assert self._file.emulated is not None
+        for block, motors in ((data, self._file.motors), (data["emulated"], self._file.emulated.motors)):
+            if motors:  # the copy is in another folder than the bench file
+                block["motors"] = {
+                    role: name if name in motor_names() else str(Path(name).absolute()) for role, name in motors.items()
+                }
         bench_path.write_text(yaml.dump(data, Dumper=_Plain, sort_keys=False, allow_unicode=True), encoding="utf-8")
         request = prepare_by_hand("drill", self._steps, str(bench_path), self._setup, self._directory, realtime=False)
         power_watch = DrivePowerWatch()

@@ -1,6 +1,7 @@
 """A campaign is gone on with: what is finished stays, what is not is made, and what does not fit is refused."""
 
 import json
+from importlib import resources
 
 import h5py
 import pytest
@@ -120,6 +121,29 @@ def test_a_change_of_what_is_finished_is_refused(bench):
     (bench.folder / "campaign.json").unlink()
     with pytest.raises(InputError, match="are finished, and"):
         bench.conduct()
+
+
+def test_a_change_of_a_signal_s_file_or_of_a_motor_file_is_one_of_the_runs(bench):
+    folder = bench.folder.parent
+    (folder / "motor.yaml").write_text((resources.files("leactl.model") / "motors" / "lea.yaml").read_text())
+    shown = (resources.files("leactl.bench") / "files" / "emulated.yaml").read_text()
+    (folder / "mine.yaml").write_text(
+        shown.replace("motors: {test: lea, load: lea}", "motors: {test: motor.yaml, load: lea}")
+    )
+    (folder / "swing.csv").write_text("time_s,setpoint_A\n0,0\n0.5,0.7\n1.0,0\n")
+    signal = "signal: {role: test, kind: csv, path: swing.csv, column: setpoint_A}"
+    spin = SPIN.replace("hold: {role: test, current_A: $current_A, duration_s: $hold_s}", signal)
+    (folder / "spin.yaml").write_text(spin.replace("parameters: {current_A: 0.7, hold_s: 0.3}\n", ""))
+    campaign = "name: small\nbench: mine.yaml\nsteps: [{name: spin, protocol: spin.yaml, repeats: 2}]\n"
+    bench.conduct(campaign, stop_at=2)
+    for name, old, new in (("swing.csv", "0.5,0.7", "0.5,0.9"), ("motor.yaml", "0.0024", "0.0025")):
+        before = (folder / name).read_text()
+        assert old in before
+        (folder / name).write_text(before.replace(old, new))
+        with pytest.raises(InputError, match=r"(is|are) finished, and"):
+            bench.conduct(campaign)
+        (folder / name).write_text(before)
+    assert bench.conduct(campaign).error is None
 
 
 def test_a_change_of_what_is_left_is_gone_on_with_when_asked(bench):
