@@ -232,6 +232,7 @@ def load(name_or_path: str) -> tuple[BenchFile, list[CheckedDevice], yamlfile.Do
         raise InputError([*error.faults, *_unusable_drivers(document)]) from None
     checked = [_check(document, bench, name, entry, faults) for name, entry in bench.devices.items()]
     usable = [device for device in checked if device is not None]
+    faults += _shared_wires(document, bench)
     faults += _shared_addresses(document, bench.buses, usable)
     faults += _shared_identifiers(document, usable)
     faults += _shared_host_addresses(document, usable)
@@ -345,6 +346,27 @@ def _unusable_drivers(document: yamlfile.Document) -> list[str]:
                 registry.load(driver)
             except InputError as error:
                 faults.append(document.fault(("devices", name, "driver"), str(error)))
+    return faults
+
+
+def _shared_wires(document: yamlfile.Document, bench: BenchFile) -> list[str]:
+    """Return one line for each CAN bus or serial line that another name of the bench leads to as well.
+
+    Addresses and identifiers are compared bus by bus: under two names, two devices could obey one command.
+    """
+    if bench.emulated is not None:  # each has a wire of its own there
+        return []
+    names: dict[tuple[str, str], str] = {}
+    faults = []
+    for name, bus in bench.buses.items():
+        if isinstance(bus, CanBus):
+            wire = bus.interface, f"{bus.channel}{sorted(bus.options.items())}"
+        elif isinstance(bus, SerialBus) and bus.port:
+            wire = bus.kind, os.path.realpath(bus.port)
+        else:
+            continue
+        if (first_name := names.setdefault(wire, name)) != name:
+            faults.append(document.fault(("buses", name), f"leads where {first_name} does; one name was expected"))
     return faults
 
 

@@ -140,3 +140,18 @@ def test_a_motor_file_is_found_from_the_bench_file_and_not_from_the_working_dire
     bench = benchfile.load("../bench/bench.yaml")[0]
     assert bench.motors == {"test": "../bench/motor.yaml", "load": "lea"}
     assert motors_of(bench)["test"].thermal.winding_capacitance == 22.9
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "{kind: can, channel: can3}",
+        "{kind: serial, port: /dev/ttyUSB0}",
+    ],
+)
+def test_two_names_of_one_wire_are_refused(tmp_path, line):
+    text = text_of("testbed")
+    assert "\nbuses:\n" in text
+    (tmp_path / "bench.yaml").write_text(text.replace("\nbuses:\n", f"\nbuses:\n  one: {line}\n  two: {line}\n"))
+    with pytest.raises(InputError, match=r"buses\.two: leads where one does; one name was expected"):
+        benchfile.load(str(tmp_path / "bench.yaml"))
