@@ -126,7 +126,7 @@ def test_a_dry_run_of_a_bench_that_another_run_holds_is_refused(testbed, holder)
         ),
         (["testbed"], "a real bench is asked for before it moves, and stdin is no terminal; --yes agrees to all"),
         (["--bus", "can0=socketcan:can0"], "--bus: an emulated bench has its buses in this process"),
-        (["--out", "/dev/null/here"], "--out /dev/null/here: Not a directory"),
+        (["--out", "/dev/null/here"], "/dev/null/here: cannot be made or written to: /dev/null: not a folder"),
         (["--only", "bus_off", "--report", "/no/page.md"], "--report /no/page.md: No such file or directory"),
     ],
 )
