@@ -122,7 +122,11 @@ class Wire:
         """
         line = self._take_line()
         if line is None:
-            return text  # the trace was cut short
+            if not self._replay.is_cut_short:
+                raise Diverged(
+                    Difference(self._replay.call_ends, self.name, "nothing more of this wire", f"'> {text}' was sent")
+                )
+            return text
         if line.kind == FAILED:
             raise OSError(line.text)
         accepted, _, refused = line.text.partition(NOT_ACCEPTED)
@@ -173,16 +177,20 @@ class Wire:
             raise Diverged(Difference(line.number, self.name, recorded, f"'{kind} {text}' was asked for"))
         return line.text
 
+    def rest(self) -> TraceLine | None:
+        """Return the first line of the bus that the replay has not come to, or None."""
+        return self._lines[self._next_index] if self._next_index < len(self._lines) else None
+
     def _line_of_call(self) -> TraceLine | None:
         """Return the next line of the bus, or None if it does not belong to the present call."""
-        line = self._lines[self._next_index] if self._next_index < len(self._lines) else None
+        line = self.rest()
         return line if line is not None and line.number <= self._replay.call_ends else None
 
     def _take_line(self) -> TraceLine | None:
         """Return the next line of the bus and advance past it; None at the end of the trace."""
-        if self._next_index >= len(self._lines):
+        line = self.rest()
+        if line is None:
             return None
-        line = self._lines[self._next_index]
         self._next_index += 1
         self._replay.transfers += 1
         self._replay.clock.sleep_until(line.time)
@@ -195,12 +203,22 @@ class ReplayWiring:
     def __init__(self, lines: Sequence[TraceLine], buses: Sequence[str]) -> None:
         self.clock = ReplayClock()
         self.call_ends = 0  # number of the line at which the present call ended
+        self.is_cut_short = False  # the trace ends within a call
         self.transfers = 0
         transfer_kinds = (SENT, HEARD, FAILED)
         self._wires = {
             name: Wire(name, [line for line in lines if line.owner == name and line.kind in transfer_kinds], self)
             for name in buses
         }
+
+    def difference_at_the_end(self) -> Difference | None:
+        """Return the first transfer of the trace that no call of the replay has made, or None."""
+        rests = [line for wire in self._wires.values() if (line := wire.rest()) is not None]
+        if self.is_cut_short or not rests:
+            return None
+        line = min(rests, key=lambda one: one.number)
+        came = "nothing more was read" if line.kind == HEARD else "nothing more was sent"
+        return Difference(line.number, line.owner, f"'{line.kind} {line.text}'", came)
 
     def can(self, name: str, bus: CanBus) -> "Callable[[], can.BusABC]":
         """Return a function that connects to a CAN bus of the trace."""
@@ -316,7 +334,11 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
     wiring = ReplayWiring(lines, buses)
     bench = Bench(file, bus_devices, wiring)
     end_lines = _end_lines(lines)
-    calls, raised, cut_short, is_closed = 0, list[str](), False, False
+    calls, raised, is_closed = 0, list[str](), False
+
+    def result(difference: Difference | None) -> ReplayResult:
+        return ReplayResult(calls, wiring.transfers, difference, tuple(dict.fromkeys(raised)), wiring.is_cut_short)
+
     for line in lines:
         if line.kind != CALLED or line.owner in left_out:
             continue
@@ -327,12 +349,12 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
         call = _call_in_line(path, line, bench)
         end_line = end_lines.get(line.number)
         wiring.call_ends = end_line.number if end_line else lines[-1].number
-        cut_short = cut_short or end_line is None
+        wiring.is_cut_short = wiring.is_cut_short or end_line is None
         wiring.clock.set(line.time)
         try:
             outcome = outcome_text(call())
         except Diverged as divergence:
-            return ReplayResult(calls, wiring.transfers, divergence.difference, tuple(dict.fromkeys(raised)), cut_short)
+            return result(divergence.difference)
         except Exception as error:  # noqa: BLE001 (whatever a driver raises is what is compared)
             outcome = outcome_text(None, error)
             raised.append(f"{type(error).__name__}: {error}")
@@ -340,9 +362,9 @@ def replay(path: Path, file: BenchFile, devices: Sequence[CheckedDevice]) -> Rep
             difference = Difference(
                 end_line.number, line.owner, f"'{end_line.text}'", f"{method} ended with '{outcome}'"
             )
-            return ReplayResult(calls, wiring.transfers, difference, tuple(dict.fromkeys(raised)), cut_short)
+            return result(difference)
         calls += 1
-    return ReplayResult(calls, wiring.transfers, None, tuple(dict.fromkeys(raised)), cut_short)
+    return result(wiring.difference_at_the_end())
 
 
 def _end_lines(lines: Sequence[TraceLine]) -> dict[int, TraceLine]:

@@ -108,6 +108,7 @@ def run(
     from leactl.report.outputs import check_folder
     from leactl.runner.acceptance import judge_outcome
     from leactl.runner.event_lines import STDOUT, EventLines
+    from leactl.runner.outcome import status_of
     from leactl.runner.request import prepare
     from leactl.runner.stop_requests import signals_kept_to_the_end
 
@@ -132,7 +133,16 @@ def run(
         EventLines(events) if events else nullcontext() as event_lines,
         traced_to(trace) as wire_trace,
     ):
-        outcome = perform(replace(request, lines=event_lines, trace=wire_trace), page=open_page)
+        try:
+            outcome = perform(replace(request, lines=event_lines, trace=wire_trace), page=open_page)
+        except BaseException as error:
+            # there is no run file: a device could not be opened, or the run was refused
+            status, reason = status_of(error)
+            if event_lines is not None:
+                event_lines.end(run=None, status=status, reason=reason)
+            if warning := _run_at_end(at_end_words, status, ""):
+                error.add_note(f"warning: {warning}")
+            raise
         acceptance, unmet = judge_outcome(request.plan, outcome)
         answer = outcome.as_json() | {"acceptance": acceptance}
         if event_lines is not None:
@@ -141,7 +151,7 @@ def run(
         if as_json or events != STDOUT:
             stdout_error = print_answer(json.dumps(answer) if as_json else ending_line(outcome))
         # inside the block: after it signals are ignored, also by a process that is started
-        warning = _run_at_end(at_end_words, outcome)
+        warning = _run_at_end(at_end_words, outcome.status, str(outcome.path))
     faults = [
         output.fault for output in (event_lines, open_page) if output is not None and output.fault not in outcome.notes
     ]
@@ -173,7 +183,7 @@ def _at_end_words(command: str) -> list[str]:
     return words
 
 
-def _run_at_end(words: list[str], outcome: "Outcome") -> str:
+def _run_at_end(words: list[str], status: str, run_path: str) -> str:
     """Run the command of `--at-end` with status and file of the run; return its failure as text, or an empty text."""
     import subprocess
 
@@ -181,7 +191,7 @@ def _run_at_end(words: list[str], outcome: "Outcome") -> str:
         return ""
     try:
         # its output goes to stderr: stdout is for --json and --events
-        process = subprocess.run([*words, outcome.status, str(outcome.path)], stdout=sys.stderr.fileno(), check=False)
+        process = subprocess.run([*words, status, run_path], stdout=sys.stderr.fileno(), check=False)
     except OSError as error:
         return f"--at-end {words[0]}: {error.strerror}"
     return f"--at-end {words[0]}: ended with status {process.returncode}" if process.returncode else ""

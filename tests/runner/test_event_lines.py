@@ -8,6 +8,7 @@ import sys
 import time
 
 import pytest
+import yaml
 
 from leactl.errors import InputError
 from leactl.quantities import ChannelSpec
@@ -213,6 +214,22 @@ def test_a_command_at_the_end_may_be_interrupted(tmp_path):
     command = f"{sys.executable} {tmp_path / 'after.py'}"
     done = leactl(*SHORT, "--out", tmp_path, "--at-end", command, LEACTL_STATE=str(tmp_path))
     assert (done.returncode, "warning" in done.stderr) == (0, False), done.stderr
+
+
+def test_a_run_whose_devices_cannot_be_opened_has_an_end(tmp_path):
+    bench = yaml.safe_load(leactl("bench", "show", "emulated").stdout) | {"name": "mine"}
+    bench["emulated"]["faults"] = [{"fault": "bus_off", "at_s": 0.0, "bus": "can0"}]
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(bench))
+    script = tmp_path / "after"
+    script.write_text('#!/bin/sh\nprintf "%s," "$@" > "$(dirname "$0")/told"\n')
+    script.chmod(0o755)
+    words = (*SHORT[:2], "--bench", tmp_path / "mine.yaml", *SHORT[4:], "--out", tmp_path, "--json")
+    done = leactl(*words, "--events", tmp_path / "lines", "--at-end", script, LEACTL_STATE=str(tmp_path))
+    assert (done.returncode, done.stdout) == (5, "")
+    [line] = read(tmp_path / "lines")
+    assert (line["event"], line["run"], line["status"]) == ("end", None, "failed")
+    assert line["reason"] in done.stderr
+    assert (tmp_path / "told").read_text() == "failed,,"
 
 
 def test_a_command_at_the_end_gets_status_and_file(tmp_path):

@@ -260,6 +260,30 @@ def test_a_reading_that_differs_is_named(traced, tmp_path):
     fits_the_page("A trace, replayed", told)
 
 
+@pytest.mark.parametrize(("kind", "came"), [(">", "nothing more was sent"), ("<", "nothing more was read")])
+def test_a_transfer_that_the_last_call_of_a_wire_left_out_is_named(traced, tmp_path, kind, came):
+    trace, bench = traced("can")
+    lines = trace.read_text().splitlines(keepends=True)
+    last_end = max(number for number, line in enumerate(lines) if " drive_" in line and " ~ " in line)
+    lines.insert(last_end, f"{lines[last_end].split()[0]} can0 {kind} 601 4006100000000000\n")
+    changed = tmp_path / "changed.trace"
+    changed.write_text("".join(lines))
+    difference = replayed(changed, bench).difference
+    assert difference == (last_end + 1, "can0", f"'{kind} 601 4006100000000000'", came)
+
+
+def test_a_transfer_behind_the_last_of_a_wire_is_named(traced, tmp_path):
+    trace, bench = traced("can")
+    lines = trace.read_text().splitlines(keepends=True)
+    last = max(number for number, line in enumerate(lines) if " can0 > " in line)
+    changed = tmp_path / "changed.trace"
+    changed.write_text("".join(line for n, line in enumerate(lines) if n < last or " can0 " not in line))
+    sent = lines[last].split(" ", 3)[3].strip()
+    difference = replayed(changed, bench).difference
+    assert difference is not None
+    assert str(difference) == f"can0: '> {sent}' was sent where the trace has nothing more of this wire"
+
+
 class Volt(float):
     """A number that is not Python's own, as numpy's are."""
 
