@@ -265,8 +265,9 @@ def test_a_push_in_time_beside_such_an_encoder_is_unknown(drawn_case, seed):
     assert (diagnosis.verdict, named(diagnosis)) == ("unknown", [])
 
 
-def test_such_an_encoder_is_looked_at_at_a_lower_rate_and_the_current_at_its_own(drawn_case):
-    case, _ = drawn_case("coarser with presliding")
+@pytest.mark.parametrize("how", often({"coarser with presliding": ("coarser with presliding",)}))
+def test_such_an_encoder_is_looked_at_at_a_lower_rate_and_the_current_at_its_own(drawn_case, how):
+    case, _ = drawn_case(how)
     intervals = {
         equation.name: equation.signals.interval
         for equation in equations(case.fitted[0], case.model)

@@ -17,7 +17,6 @@ from leactl.runfile.read.reader import Run
 from tests.cli.terminal import leactl as command
 
 DOCS = Path(__file__).parents[2] / "docs"
-SLOW = "diagnosis"  # half a minute; the page's last snippet diagnoses too
 PAGE = (DOCS / "how-to" / "python.md").read_text(encoding="utf-8")
 
 
@@ -62,13 +61,7 @@ def test_every_function_that_the_page_lists_is_offered():
     assert all(callable(getattr(leactl, name)) for name in listed)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(path.stem, marks=pytest.mark.long) if path.stem == SLOW else path.stem
-        for path in sorted((DOCS / "notebooks").glob("*.ipynb"))
-    ],
-)
+@pytest.mark.parametrize("name", [path.stem for path in sorted((DOCS / "notebooks").glob("*.ipynb"))])
 def test_a_notebook_runs_from_its_first_cell_to_its_last(folder, name):
     notebook = nbformat.read(DOCS / "notebooks" / f"{name}.ipynb", as_version=4)
     assert all(not cell.get("outputs") for cell in notebook.cells), "a notebook is kept without outputs"
