@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from jupyter_client.manager import start_new_kernel
 
 import leactl
 from leactl.errors import InputError, SafetyTrip
@@ -33,6 +34,31 @@ def test_an_interrupt_ends_a_run_in_order_and_is_raised(tmp_path):
         said, _ = script.communicate(timeout=60)
     [run] = tmp_path.glob("runs/*.h5")
     assert said == f"stopped by SIGINT; run file: runs/{run.name}\n"
+    with leactl.open_run(run) as opened:
+        assert opened.status == "stopped"
+        safe = [event.level for event in opened.events if event.message.startswith("safe state: ")]
+    assert safe == ["info", "info", "info"]  # both drives and the torque sensor
+
+
+def test_a_cell_that_is_interrupted_in_the_middle_of_a_run_leaves_the_bench_safe(tmp_path):
+    manager, client = start_new_kernel(kernel_name="python3", cwd=str(tmp_path))
+    try:
+        cell = client.execute("import leactl; leactl.run_protocol('friction', settings={'seed': 1}, realtime=True)")
+        deadline = time.monotonic() + 60.0
+        while not list(tmp_path.glob("runs/*.h5")):
+            assert time.monotonic() < deadline
+        manager.interrupt_kernel()
+        reply = {}
+        while reply.get("parent_header", {}).get("msg_id") != cell:
+            reply = client.get_shell_msg(timeout=60)
+        assert (reply["content"]["status"], reply["content"].get("ename")) == ("error", "Stopped")
+        assert (
+            client.execute("leactl.__version__", reply=True, timeout=60)["content"]["status"] == "ok"
+        )  # the kernel goes on
+    finally:
+        client.stop_channels()
+        manager.shutdown_kernel(now=True)
+    [run] = tmp_path.glob("runs/*.h5")
     with leactl.open_run(run) as opened:
         assert opened.status == "stopped"
         safe = [event.level for event in opened.events if event.message.startswith("safe state: ")]
