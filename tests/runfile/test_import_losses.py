@@ -82,6 +82,13 @@ def test_a_long_serial_number_keeps_all_its_digits(tmp_path):
         assert run.attributes["actuator"] == "20260115"
 
 
+def test_a_serial_number_keeps_its_zeros(tmp_path):
+    lines = table(20, lambda _: ",00815").replace("note", "serial")
+    (tmp_path / "a.csv").write_text(lines)
+    with Run.open(imported(tmp_path, "a.csv", COLUMNS + "run: {actuator: {field: serial}}\n")) as run:
+        assert run.attributes["actuator"] == "00815"
+
+
 def test_recordings_of_one_name_are_two_runs(tmp_path):
     ids, names = set(), set()
     for day, rows in (("1", 40), ("2", 50)):

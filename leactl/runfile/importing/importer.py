@@ -224,17 +224,13 @@ def wanted_columns(mapping: Mapping) -> list[WantedColumn]:
 
 
 def label_columns(mapping: Mapping) -> list[WantedColumn]:
-    """Return the column whose labels name the steps; empty if the mapping has none."""
+    """Return the columns of which the text counts: labels that name the steps, and attributes of the run."""
     label_settings = mapping.steps_by_column
-    return (
-        [
-            WantedColumn(
-                label_settings.column, None if label_settings.time else mapping.streams[label_settings.stream].records
-            )
-        ]
-        if label_settings
-        else []
-    )
+    columns = [WantedColumn(value.field) for _, value in mapping.run if isinstance(value, FieldOf)]
+    if label_settings:
+        records = None if label_settings.time else mapping.streams[label_settings.stream].records
+        columns.append(WantedColumn(label_settings.column, records))
+    return columns
 
 
 def describe_run(

@@ -1,5 +1,6 @@
 """Read tables of text, such as CSV, in the format that the mapping states."""
 
+import re
 from collections.abc import Iterable
 from contextlib import suppress
 from datetime import datetime
@@ -18,6 +19,7 @@ from leactl.tables.columns import Columns, CsvForm
 Array = npt.NDArray[np.float64]
 ENDINGS = (".csv", ".txt", ".tsv")
 TAIL_BYTES = 8192  # of a file, whose rows tell whether the last one is cut; an even number, for UTF-16
+PADDED_NUMBER = re.compile("0[0-9]+")
 SURVEYED_ROWS = 200  # leading rows by which a column is judged to be numeric
 
 
@@ -95,7 +97,10 @@ class CsvSource(Columns):
         return False
 
     def field(self, name: str | int) -> float | str:
-        """Return the value of a column that never changes."""
+        """Return the value of a column that never changes; digits behind a zero, such as a serial number, as text."""
+        cells = set(self._labels.get(self.position(name), ()))
+        if len(cells) == 1 and PADDED_NUMBER.fullmatch(cell := next(iter(cells))):
+            return cell
         values = self.column(name)
         distinct_values = set(values) if isinstance(values, list) else set(values[np.isfinite(values)].tolist())
         if len(distinct_values) != 1:
