@@ -63,11 +63,11 @@ NAMES = [f"{'bad' if number % 7 == 3 else 'job'}-{number}" for number in range(2
 @pytest.mark.parametrize("processes", [1, 2])
 def test_results_keep_the_order_of_their_jobs_and_faults_their_lines(processes):
     with Workers(processes) as workers:
-        found = list(workers.in_order(told_apart, [(name,) for name in NAMES]))
-    assert [done.faults or done.value()[0] for done in found] == [
+        results = list(workers.in_order(told_apart, [(name,) for name in NAMES]))
+    assert [done.faults or done.value()[0] for done in results] == [
         [f"{name}: first", f"{name}: second"] if name.startswith("bad") else name for name in NAMES
     ]
-    here = {done.value()[1] == os.getpid() for done in found if not done.faults}
+    here = {done.value()[1] == os.getpid() for done in results if not done.faults}
     assert here == {processes == 1}
 
 

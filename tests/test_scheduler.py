@@ -51,13 +51,13 @@ def ends_its_worker(name):
 def test_results_keep_their_order_and_a_lost_worker_costs_none(cluster, tmp_path):
     address, processes = cluster(2)
     with ScheduledWorkers(address) as workers:
-        found = list(workers.in_order(told_apart, [(name,) for name in NAMES]))
+        results = list(workers.in_order(told_apart, [(name,) for name in NAMES]))
         lost = list(workers.in_order(ends_its_worker_once, [(name, tmp_path) for name in NAMES]))
         done = list(workers.as_done(ends_its_worker_once, [(name, tmp_path) for name in NAMES]))
     with Workers() as workers:
         here = list(workers.in_order(told_apart, [(name,) for name in NAMES]))
-    assert [one.faults for one in found] == [one.faults for one in here]
-    assert [one.value()[0] for one in found if not one.faults] == [one.value()[0] for one in here if not one.faults]
+    assert [one.faults for one in results] == [one.faults for one in here]
+    assert [one.value()[0] for one in results if not one.faults] == [one.value()[0] for one in here if not one.faults]
     assert [one.value() for one in lost] == NAMES
     assert sorted(one.value() for one in done) == sorted(NAMES)
     assert sorted(process.poll() is None for process in processes) == [False, True]

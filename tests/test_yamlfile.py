@@ -31,8 +31,8 @@ plain = st.recursive(
 @given(plain)
 def test_what_a_yaml_writer_dumps_comes_back(value):
     text = pyyaml.safe_dump(value, allow_unicode=True)
-    found = yamlfile.parse(text).data
-    assert found == value or (isinstance(value, float) and math.isclose(found, value))
+    result = yamlfile.parse(text).data
+    assert result == value or (isinstance(value, float) and math.isclose(result, value))
 
 
 @given(st.text(max_size=200))

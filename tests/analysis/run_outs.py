@@ -17,8 +17,8 @@ def run_out(time, j, f, b, c, speed):
         return w[0]
 
     stands.terminal = True
-    found = solve_ivp(slow_down, (0.0, time[-1]), [speed], dense_output=True, rtol=1e-10, atol=1e-12, events=stands)
-    return np.where(time <= found.t[-1], found.sol(np.minimum(time, found.t[-1]))[0], 0.0)
+    result = solve_ivp(slow_down, (0.0, time[-1]), [speed], dense_output=True, rtol=1e-10, atol=1e-12, events=stands)
+    return np.where(time <= result.t[-1], result.sol(np.minimum(time, result.t[-1]))[0], 0.0)
 
 
 def coasting(bench, *, j=J, f=F, b=B, c=C, signs=(1, -1), trials=3, zero_A=0.0, gain=1.0, scatter=0.0, noise=0.0,  # noqa: N803

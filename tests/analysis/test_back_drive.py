@@ -34,9 +34,9 @@ def test_what_the_rotor_takes_of_the_cogging_is_not_put_back_without_its_inertia
 
 def test_a_rotor_without_cogging_gets_a_bound_and_no_number(bench):
     result = analyzed(analyze, driven(bench, cogging=0.0, ripple=0.0))
-    found = result.find("cogging_amplitude")
-    assert math.isnan(found.value)
-    assert 0.0 < found.high < 0.002
+    outcome = result.find("cogging_amplitude")
+    assert math.isnan(outcome.value)
+    assert 0.0 < outcome.high < 0.002
     assert any("cogging is below" in note for note in result.notes)
 
 

@@ -117,9 +117,9 @@ def test_a_held_speed_or_its_current_beyond_range_gives_no_inertia(bench, name, 
 @pytest.mark.parametrize("limit", [12.5, 9.0])
 def test_a_torque_beyond_the_sensor_is_no_highest_torque(bench, limit):
     result = analyze_runs([driven(bench, noise=NOISE, edit=cut_at("torque", limit))])
-    found = result.find("highest_torque")
-    assert np.isnan(found.value)
-    assert found.low == pytest.approx(limit)
+    outcome = result.find("highest_torque")
+    assert np.isnan(outcome.value)
+    assert outcome.low == pytest.approx(limit)
     assert np.isnan(result.find("highest_power").value)
     assert any("the highest torque lies above" in note for note in result.notes)
 

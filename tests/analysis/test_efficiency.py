@@ -105,10 +105,10 @@ def clear_of(gain):
 @pytest.mark.long
 def test_noise_alone_is_covered_too(coupled):
     plus, _ = Truth().efficiencies()
-    found = [analyzed(analyze, coupled.run(zero=0.3)).find("driving_efficiency") for _ in range(30)]
-    assert sum(covered(one, plus.mean()) for one in found) >= 25
-    printed = math.sqrt(np.mean([one.std**2 for one in found]))
-    assert np.std([one.value for one in found], ddof=1) == pytest.approx(printed, rel=0.45)
+    results = [analyzed(analyze, coupled.run(zero=0.3)).find("driving_efficiency") for _ in range(30)]
+    assert sum(covered(one, plus.mean()) for one in results) >= 25
+    printed = math.sqrt(np.mean([one.std**2 for one in results]))
+    assert np.std([one.value for one in results], ddof=1) == pytest.approx(printed, rel=0.45)
 
 
 def test_measured_voltages_give_the_power_that_warm_windings_take(coupled):

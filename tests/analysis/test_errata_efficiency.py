@@ -46,8 +46,8 @@ def test_negative_efficiency_begins_at_a_slope_of_0_93_cold_and_0_66_hot_not_0_5
     speeds, currents = tuple(np.linspace(2.0, 12.0, 6)), tuple(np.linspace(2.0, 24.0, 12))
     path = CoupledBench(tmp_path).run(Truth(r=resistance), speeds=speeds, currents=currents, noise=0.0, model=model)
     [zero] = [line for line in analyzed(analyze, path).plots[0].lines if line.label == "0%"]
-    found = np.polyfit(-np.array(zero.x), zero.y, 1)  # driven speeds are to the left
-    assert found[0] == pytest.approx(slope, abs=0.03)  # straight between 2 A
+    result = np.polyfit(-np.array(zero.x), zero.y, 1)  # driven speeds are to the left
+    assert result[0] == pytest.approx(slope, abs=0.03)  # straight between 2 A
 
 
 def test_the_corner_of_the_grid_takes_23_to_26_volts_and_10_to_30_points_are_out_of_reach():

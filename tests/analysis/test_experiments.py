@@ -39,8 +39,10 @@ def test_actuators_and_conditions_are_answered_apart(bench):
     ]
     result = analyze_runs(runs)
     assert result.groups == [("a1", "design"), ("a1", "loaded"), ("a2", "design")]
-    found = {(item.actuator, item.condition): item.value for item in result.results if item.name == "coulomb_friction"}
-    assert found == pytest.approx({("a1", "design"): 0.20, ("a1", "loaded"): 0.25, ("a2", "design"): 0.22})
+    results = {
+        (item.actuator, item.condition): item.value for item in result.results if item.name == "coulomb_friction"
+    }
+    assert results == pytest.approx({("a1", "design"): 0.20, ("a1", "loaded"): 0.25, ("a2", "design"): 0.22})
     assert result.find("coulomb_friction", "a2").value == pytest.approx(0.22)
     with pytest.raises(InputError, match="'coulomb_friction' 3 times: a1/design, a1/loaded, a2/design; ask for one"):
         result.find("coulomb_friction")

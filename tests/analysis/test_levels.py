@@ -49,18 +49,18 @@ def test_an_infinite_sample_counts_as_a_gap():
 
 
 def test_an_instant_counts_from_start_to_before_stop():
-    found = settled_mean(channel(np.arange(10.0), np.arange(10.0)), 2.0, 6.0)
-    assert (found.value, found.samples, found.quarters) == (3.5, 4, (2.0, 3.0, 4.0, 5.0))
+    result = settled_mean(channel(np.arange(10.0), np.arange(10.0)), 2.0, 6.0)
+    assert (result.value, result.samples, result.quarters) == (3.5, 4, (2.0, 3.0, 4.0, 5.0))
 
 
 def test_a_mean_over_an_interval_counts_where_the_whole_interval_is_inside():
-    found = settled_mean(channel(np.arange(10.0), np.arange(10.0), "mean"), 2.0, 6.0)
-    assert (found.value, found.samples) == (4.5, 4)  # stamps 3 to 6
+    result = settled_mean(channel(np.arange(10.0), np.arange(10.0), "mean"), 2.0, 6.0)
+    assert (result.value, result.samples) == (4.5, 4)  # stamps 3 to 6
 
 
 def test_missed_samples_are_counted_and_not_averaged():
-    found = settled_mean(channel(np.arange(10.0), [np.nan, 1, 1, np.nan, 1, 1, 1, 1, 1, 9]), 0.0, 9.0)
-    assert (found.value, found.samples, found.missing) == (1.0, 7, 2)
+    result = settled_mean(channel(np.arange(10.0), [np.nan, 1, 1, np.nan, 1, 1, 1, 1, 1, 9]), 0.0, 9.0)
+    assert (result.value, result.samples, result.missing) == (1.0, 7, 2)
 
 
 @pytest.mark.parametrize("stop", [2.0, 40.0])

@@ -46,9 +46,9 @@ def test_iron_is_told_apart_from_friction_only_where_friction_alone_is_known(ben
     path = turned(bench, scatter=0.001)
     silent = analyzed(analyze, path)
     for name, shared in (("hysteresis_torque", "coulomb_friction"), ("eddy_damping", "viscous_damping")):
-        found = silent.find(name)
-        assert math.isnan(found.value)
-        assert (found.low, found.high) == (0.0, silent.find(shared).high)
+        result = silent.find(name)
+        assert math.isnan(result.value)
+        assert (result.low, result.high) == (0.0, silent.find(shared).high)
     assert any("not identifiable from the speed alone" in note for note in silent.notes)
 
     known = {"mechanical_friction": 0.15, "mechanical_friction_std": 0.01, "mechanical_damping": 0.02}

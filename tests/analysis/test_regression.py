@@ -50,9 +50,9 @@ def test_lack_of_fit_is_found_as_often_as_its_probability_says():
     rng = np.random.default_rng(3)
     level = np.tile(np.arange(5.0), 6)
     line = np.column_stack([level, np.ones_like(level)])
-    found = [partial_f_test(line, 2.0 * level + rng.normal(size=30), indicator_columns(level)) for _ in range(1000)]
-    assert np.mean([item.p_value < 0.25 for item in found]) == pytest.approx(0.25, abs=0.04)
-    assert {item.dof for item in found} == {3}
+    results = [partial_f_test(line, 2.0 * level + rng.normal(size=30), indicator_columns(level)) for _ in range(1000)]
+    assert np.mean([item.p_value < 0.25 for item in results]) == pytest.approx(0.25, abs=0.04)
+    assert {item.dof for item in results} == {3}
     curved = partial_f_test(line, level**2 + rng.normal(0.0, 0.1, 30), indicator_columns(level))
     assert curved.is_significant
 

@@ -77,10 +77,10 @@ def test_over_all_shapes_the_limit_holds_about_as_often_as_it_says():
 
 def test_a_drive_that_acts_late_in_a_sample_has_not_risen_later():
     time, lag = SAMPLE_S * np.arange(1, 60), 0.5e-3
-    found = []
+    results = []
     for late in np.linspace(0.0, 0.99, 9) * SAMPLE_S:
         response = np.where(time > late, 1.0 - np.exp(-(time - late) / lag), 0.0)
-        found.append(
+        results.append(
             rise_time([StepTrial(1.0, time, response, 0.0, 0.05, noise=1e-9, quantum=0.0, error_before=0.0)]).value
         )
-    assert found == pytest.approx([2.197 * lag] * len(found), abs=0.1 * SAMPLE_S)
+    assert results == pytest.approx([2.197 * lag] * len(results), abs=0.1 * SAMPLE_S)

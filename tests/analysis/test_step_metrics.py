@@ -47,8 +47,8 @@ SLOWER = [(1e-3, 0.01), (2e-3, 0.02), (20e-3, 0.02)]
 def test_noise_does_not_make_a_fast_loop_settle_late(lag, noise):
     held = 0
     for seed in range(SEEDS):
-        found = estimate(settling_time, noisy(first_order(lag), noise, np.random.default_rng(seed)))
-        held += found.low <= lag * math.log(50.0) <= found.high
+        result = estimate(settling_time, noisy(first_order(lag), noise, np.random.default_rng(seed)))
+        held += result.low <= lag * math.log(50.0) <= result.high
     assert held >= 0.85 * SEEDS
 
 
@@ -62,9 +62,9 @@ def test_an_overshoot_is_not_its_highest_noise(natural, above):
     true, held, values = 100.0 * math.exp(-math.pi * 0.75), 0, []  # of damping 0.6
     for seed in range(SEEDS):
         noise = 0.01 * true / above * math.sqrt(5.0)
-        found = estimate(overshoot, noisy(ringing(natural, 0.6), noise, np.random.default_rng(seed)))
-        held += found.low <= true <= found.high
-        values.append(found.value)
+        result = estimate(overshoot, noisy(ringing(natural, 0.6), noise, np.random.default_rng(seed)))
+        held += result.low <= true <= result.high
+        values.append(result.value)
     assert held >= 0.85 * SEEDS
     assert np.mean(values) == pytest.approx(true, rel=0.08)
 
@@ -80,8 +80,8 @@ def test_rounding_that_every_trial_repeats_is_in_the_interval(lag, quantum):
         read = read / read[600:].mean()
         trials = [StepTrial(1.0, TIME, read, 0.0, 0.6, noise=1e-9, quantum=quantum, error_before=0.0)] * 2
         for figure, true in truths.items():
-            found = estimate(figure, [trials])
-            held[figure] += found.low <= true <= found.high
+            result = estimate(figure, [trials])
+            held[figure] += result.low <= true <= result.high
     assert held[rise_time] >= 0.8 * SEEDS
     assert held[settling_time] >= 0.8 * SEEDS or quantum == 0.02  # half a step is half of the band there: not known
 
@@ -98,8 +98,8 @@ def test_a_top_on_which_friction_holds_the_rotor_is_no_higher_than_it_is(falls_s
         trials = [
             StepTrial(1.0, TIME, read / read[600:].mean(), 0.0, 0.6, noise=1e-9, quantum=1e-4, error_before=0.0)
         ] * 2
-        found = estimate(overshoot, [trials])
-        held += found.low <= 100.0 * over <= found.high
-        errors.append(found.value - 100.0 * over)
+        result = estimate(overshoot, [trials])
+        held += result.low <= 100.0 * over <= result.high
+        errors.append(result.value - 100.0 * over)
     assert held >= 0.7 * SEEDS
     assert abs(np.mean(errors)) < 0.005  # half a step of the readings

@@ -120,9 +120,9 @@ def test_readings_that_are_noisier_in_motion_make_no_higher_top(tmp_path):
 
         (folder := tmp_path / str(seed)).mkdir()
         result = analyze_runs([step_run(folder, answer=ringing(20.0, 0.6), noise=0.01, seed=seed, edit=edit)])
-        found = result.find("overshoot")
-        held += found.low <= true <= found.high
-        errors.append(found.value - true)
+        outcome = result.find("overshoot")
+        held += outcome.low <= true <= outcome.high
+        errors.append(outcome.value - true)
     assert held >= 6
     assert abs(np.mean(errors)) < 0.1
 

@@ -44,9 +44,9 @@ def test_the_paper_s_network_comes_back(whole):
     _, result = whole
     true = Plant().known
     for name in NETWORK + BODIES:
-        found = result.find(name)
-        assert found.value == pytest.approx(true[name], abs=4.0 * found.std)
-        assert 0.0 < found.std < 0.01 * found.value
+        outcome = result.find(name)
+        assert outcome.value == pytest.approx(true[name], abs=4.0 * outcome.std)
+        assert 0.0 < outcome.std < 0.01 * outcome.value
     assert result.find("parallel_thermal_resistance").value == pytest.approx(
         true["parallel_thermal_resistance"], rel=2e-3
     )
@@ -72,10 +72,10 @@ def test_how_long_the_current_has_to_be_on_follows_from_the_intervals_of_the_rea
 
 
 def test_errata_the_coefficient_is_4e_3_per_kelvin_and_gives_the_printed_current(whole):
-    found = whole[1].find("resistance_coefficient")
-    assert found.units == "1/K"
-    assert found.value == pytest.approx(4e-3, rel=0.01)
-    assert not covered(found, 4e-4)
+    result = whole[1].find("resistance_coefficient")
+    assert result.units == "1/K"
+    assert result.value == pytest.approx(4e-3, rel=0.01)
+    assert not covered(result, 4e-4)
     assert whole[1].find("continuous_current").value == pytest.approx(13.79, abs=0.02)
     assert 0.49 * whole[1].find("peak_current_20s").value == pytest.approx(15.7, abs=0.1)
 
@@ -116,8 +116,8 @@ def test_a_current_read_in_coarse_steps_is_known_to_a_step(heated):
 
     result = analyze_runs([heated.run(edit=coarse, **SHORT)], **EXACT)
     assert "tell current_gain_std" not in notes(result)
-    found = result.find("line_resistance")
-    assert found.std / found.value == pytest.approx(0.1 / 9.0 / math.sqrt(12.0), rel=0.05)
+    outcome = result.find("line_resistance")
+    assert outcome.std / outcome.value == pytest.approx(0.1 / 9.0 / math.sqrt(12.0), rel=0.05)
 
 
 def test_the_command_prints_the_table_beside_the_paper_in_80_columns(whole):

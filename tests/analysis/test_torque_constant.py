@@ -73,8 +73,8 @@ def test_more_samples_of_the_same_holds_are_no_more_evidence(tmp_path):
         state = bench.rng.bit_generator.state
         path = bench.torque(scatter=0.02, rate_Hz=rate)
         bench.rng.bit_generator.state = state
-        found = analyzed(analyze, path).find("torque_constant")
-        widths.append(found.high - found.low)
+        result = analyzed(analyze, path).find("torque_constant")
+        widths.append(result.high - result.low)
     assert widths[1] == pytest.approx(widths[0], rel=1e-6)
 
 

@@ -23,16 +23,16 @@ def test_the_loss_of_a_knee_comes_back(bench, loss):
 
 
 def test_the_straight_part_ends_where_two_percent_are_missing(bench):
-    found = analyzed(analyze, pulsed(bench, scatter=0.005)).find("straight_up_to")
+    result = analyzed(analyze, pulsed(bench, scatter=0.005)).find("straight_up_to")
     true = 28 * math.sqrt((0.98**-2 - 1) / (0.9**-2 - 1))
-    assert covered(found, true)
-    assert found.high - found.low < 3
+    assert covered(result, true)
+    assert result.high - result.low < 3
 
     straight = analyzed(analyze, pulsed(bench, loss=0.005, scatter=0.005))
-    found = straight.find("straight_up_to")
-    assert math.isnan(found.value)
-    assert found.low > 15
-    assert math.isinf(found.high)
+    result = straight.find("straight_up_to")
+    assert math.isnan(result.value)
+    assert result.low > 15
+    assert math.isinf(result.high)
     assert any("the bend lies above" in note for note in straight.notes)
 
 

@@ -29,8 +29,8 @@ def test_highest_torque_power_and_corner_come_back(bench):
 def test_intervals_hold_the_truth_in_95_of_100_times(bench):
     held = 0
     for _ in range(20):
-        found = analyzed(analyze, driven(bench, scatter=0.05, trials=2)).find("highest_torque")
-        held += covered(found, KT * ASKED - F - 5 * B)
+        result = analyzed(analyze, driven(bench, scatter=0.05, trials=2)).find("highest_torque")
+        held += covered(result, KT * ASKED - F - 5 * B)
     assert held >= 16  # three standard deviations below 19 of 20
 
 
@@ -44,9 +44,9 @@ def test_intervals_hold_the_truth_in_95_of_100_times(bench):
 )
 def test_a_corner_that_was_not_driven_through_has_bounds_and_no_value(bench, speeds, ends, words):
     result = analyzed(analyze, driven(bench, speeds=speeds))
-    found = result.find("corner_speed")
-    assert math.isnan(found.value)
-    assert (found.low, found.high) == pytest.approx(ends, abs=0.02)
+    outcome = result.find("corner_speed")
+    assert math.isnan(outcome.value)
+    assert (outcome.low, outcome.high) == pytest.approx(ends, abs=0.02)
     assert any(words in note for note in result.notes)
 
 
@@ -84,9 +84,9 @@ def test_the_error_of_the_sensor_s_zero_is_in_the_interval(bench):
 
 
 def test_repeats_that_find_the_winding_warmer_are_no_scatter_of_the_corner(bench):
-    found = analyzed(analyze, driven(bench, warmed=[(0.0, 0.0), (10.0, 0.0), (20.0, 0.0)])).find("corner_speed")
-    assert found.value == pytest.approx(np.mean([true_corner(kelvin) for kelvin in (0, 10, 20)]), abs=0.01)
-    assert found.high - found.low < 0.1
+    result = analyzed(analyze, driven(bench, warmed=[(0.0, 0.0), (10.0, 0.0), (20.0, 0.0)])).find("corner_speed")
+    assert result.value == pytest.approx(np.mean([true_corner(kelvin) for kelvin in (0, 10, 20)]), abs=0.01)
+    assert result.high - result.low < 0.1
 
 
 @pytest.mark.parametrize("trials", [2, 3])

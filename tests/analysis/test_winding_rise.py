@@ -17,16 +17,16 @@ def record(bench):
 
 
 def test_resistances_and_rise_come_back_within_their_intervals(record):
-    found = analyze_runs([record()])
+    result = analyze_runs([record()])
     for name, truth in (
         ("cold_resistance", LEADS),
         ("hot_resistance", LEADS * (1 + ALPHA * rise(4485.0))),
         ("winding_rise", rise(4485.0)),
     ):
-        one = found.find(name)
+        one = result.find(name)
         assert one.low <= truth <= one.high
         assert one.std < 0.005 * one.value or name == "winding_rise"
-    assert found.find("winding_rise").value == pytest.approx(72.0, rel=0.02)
+    assert result.find("winding_rise").value == pytest.approx(72.0, rel=0.02)
 
 
 def test_the_interval_holds_the_rise_wherever_the_display_s_steps_fall(record):
@@ -61,22 +61,22 @@ def test_the_coefficient_s_tolerance_widens_the_interval(record):
     ],
 )
 def test_steady_is_no_more_than_one_kelvin_in_thirty_minutes(record, lasts, slow, said):
-    found = analyze_runs([record(lasts=lasts, slow=slow, step=0.0)])
-    change = found.find("change_in_last_30_min")
-    assert any(note.startswith(said) or said in note for note in found.notes)
+    result = analyze_runs([record(lasts=lasts, slow=slow, step=0.0)])
+    change = result.find("change_in_last_30_min")
+    assert any(note.startswith(said) or said in note for note in result.notes)
     last, before = (np.mean(rise(np.arange(end - 59.0, end + 1.0), slow)) for end in (lasts - 1.0, lasts - 1801.0))
     assert change.value == pytest.approx(last - before, rel=0.001)
 
 
 def test_steps_as_large_as_the_criterion_leave_it_open(record):
-    found = analyze_runs([record(step=0.04)])
-    assert any("cannot be told from these readings" in note for note in found.notes)
+    result = analyze_runs([record(step=0.04)])
+    assert any("cannot be told from these readings" in note for note in result.notes)
 
 
 def test_half_an_hour_is_needed_to_tell(record):
-    found = analyze_runs([record(lasts=600.0)])
-    assert np.isnan(found.find("change_in_last_30_min").value)
-    assert any("heated for 10 min" in note for note in found.notes)
+    result = analyze_runs([record(lasts=600.0)])
+    assert np.isnan(result.find("change_in_last_30_min").value)
+    assert any("heated for 10 min" in note for note in result.notes)
 
 
 @pytest.mark.parametrize(

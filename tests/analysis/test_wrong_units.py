@@ -111,8 +111,8 @@ def test_a_given_torque_constant_is_held_against_the_model_s(bench):
 
 def test_readings_beyond_the_limits_of_the_bench_are_named(bench):
     path = carrying(coasting(bench, gain=1000.0, noise=0.01), bench="name: x\nlimits: {current_A: 30}\n")
-    found = doubts(analyzed(coast_down.analyze, path))
-    assert any(note.startswith("q_axis_current reads up to") and "limit of 30 A" in note for note in found)
+    result = doubts(analyzed(coast_down.analyze, path))
+    assert any(note.startswith("q_axis_current reads up to") and "limit of 30 A" in note for note in result)
     sound = carrying(coasting(bench, noise=0.01), bench="name: x\nlimits: {current_A: 30}\n")
     assert doubts(analyzed(coast_down.analyze, sound)) == []
 

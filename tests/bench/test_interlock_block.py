@@ -167,8 +167,8 @@ def test_a_bench_without_limits_is_refused_and_one_without_interlocks_has_defaul
         benchfile.load(str(without))
     head, _, rest = text.partition("interlocks:")
     without.write_text(head + "response:" + rest.partition("response:")[2])
-    found = benchfile.load(str(without))[0].interlocks.shown()
-    assert set(found) == {"current_disagreement", "loop_overruns", "clock", "disk_space"}
+    result = benchfile.load(str(without))[0].interlocks.shown()
+    assert set(result) == {"current_disagreement", "loop_overruns", "clock", "disk_space"}
 
 
 def test_the_check_shows_interlocks_and_refuses_with_status_2(tmp_path):

@@ -47,13 +47,13 @@ def test_a_run_records_what_devices_tell_over_what_the_bench_file_says(here):
     )
     done = leactl("run", "spin.yaml", "--bench", bench, "--json")
     assert done.returncode == 0, done.stderr
-    told = done.stderr.splitlines()
-    late = [line for line in told if "calibration" in line]
+    lines = done.stderr.splitlines()
+    late = [line for line in lines if "calibration" in line]
     assert len(late) == 1
     assert late[0].startswith("leactl: warning: torque_sensor: calibration was due 2025-05-02, ")
-    assert told.index(late[0]) == 0
+    assert lines.index(late[0]) == 0
     firmware = "firmware Whistle 01.01.16.00 08Mar2018G answers, the bench file says Whistle 01.01.15.00"
-    assert f"leactl: warning: drive_test: {firmware}" in told
+    assert f"leactl: warning: drive_test: {firmware}" in lines
     with Run.open(json.loads(done.stdout)["run"]) as run:
         assert run.instruments == {
             "drive_test": {

@@ -34,19 +34,19 @@ def compare(
     CPU time by default: it does not count what other processes take. `before` and `after` stand around each round,
     untimed.
     """
-    found = []
+    result = []
     for number in range(rounds + 1):
         before()
         gc.collect()
         if number % 2:
             first = _timed(subject, timer)
-            found.append((first, _timed(peer, timer)))
+            result.append((first, _timed(peer, timer)))
         else:
             first = _timed(peer, timer)
-            found.append((_timed(subject, timer), first))
+            result.append((_timed(subject, timer), first))
         after()
-    found = found[1:]  # the first round loads what is loaded once
-    ratios, own, others = zip(*((a / b, a / each, b / each) for a, b in found), strict=True)
+    result = result[1:]  # the first round loads what is loaded once
+    ratios, own, others = zip(*((a / b, a / each, b / each) for a, b in result), strict=True)
     return Comparison(statistics.median(ratios), statistics.median(own), statistics.median(others))
 
 

@@ -54,7 +54,7 @@ def test_a_cycle_costs_little_beside_the_frames_it_exchanges(tmp_path, figure):
         can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
         for identifier, data in ((0x201, demand), (0x202, demand), (SYNC, b""))
     ]
-    found = compare(cycles, lambda: exchange(bare, messages, CYCLES), each=CYCLES, before=prepare_next, after=finish)
+    result = compare(cycles, lambda: exchange(bare, messages, CYCLES), each=CYCLES, before=prepare_next, after=finish)
     bare.shutdown()
-    figure(f"cycle of two drives, driver + supervisor + recorder: {found:us} of bare python-can; limit {LIMIT}")
-    assert found.ratio <= LIMIT
+    figure(f"cycle of two drives, driver + supervisor + recorder: {result:us} of bare python-can; limit {LIMIT}")
+    assert result.ratio <= LIMIT

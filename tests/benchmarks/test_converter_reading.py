@@ -46,10 +46,10 @@ class Listening(smbus2.SMBus):
         self.calls = None
 
     def __getattribute__(self, name):
-        found = super().__getattribute__(name)
+        result = super().__getattribute__(name)
         if name.startswith(("read_", "write_")) and self.calls is not None:
-            return lambda *values: (self.calls.append((name, values)), found(*values))[1]
-        return found
+            return lambda *values: (self.calls.append((name, values)), result(*values))[1]
+        return result
 
 
 def converter(bus):
@@ -84,6 +84,6 @@ def test_a_reading_costs_little_beside_the_calls_it_makes(monkeypatch, figure):
             for call, values in bound:
                 call(*values)
 
-    found = compare(readings, bare_calls, each=READINGS)
-    figure(f"reading of the ADS1115: {found:us} of its three bare smbus2 calls; limit {LIMIT}")
-    assert found.ratio <= LIMIT
+    result = compare(readings, bare_calls, each=READINGS)
+    figure(f"reading of the ADS1115: {result:us} of its three bare smbus2 calls; limit {LIMIT}")
+    assert result.ratio <= LIMIT

@@ -21,10 +21,10 @@ LINEAR = 1.15  # times as long as in proportion to its samples, that a larger ca
 @pytest.fixture
 def practice():
     sets = [parent.parent / "shared" / "gap-cases" / "practice" for parent in Path(__file__).resolve().parents]
-    found = next((folder / "practice-2" for folder in sets if folder.is_dir()), None)
-    if found is None:
+    result = next((folder / "practice-2" for folder in sets if folder.is_dir()), None)
+    if result is None:
         pytest.skip("the practice cases (../shared/gap-cases) are not on this machine")
-    return found
+    return result
 
 
 def test_a_case_is_diagnosed_within_seconds(practice, tmp_path, figure):

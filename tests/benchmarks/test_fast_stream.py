@@ -55,10 +55,10 @@ def test_a_block_costs_a_fraction_of_its_rows(tmp_path, figure):
                 writer.append_row("daq", row.time, row.values)
                 supervisor.receive(row)
 
-    found = compare(by_row, whole, each=BLOCKS, after=writer.flush)
+    result = compare(by_row, whole, each=BLOCKS, after=writer.flush)
     writer.close("complete")
-    figure(f"200 samples x 3 judged and recorded by rows, over as a block: {found:us}; at least {LEAST_GAIN}")
-    assert found.ratio >= LEAST_GAIN
+    figure(f"200 samples x 3 judged and recorded by rows, over as a block: {result:us}; at least {LEAST_GAIN}")
+    assert result.ratio >= LEAST_GAIN
 
 
 def test_five_seconds_of_three_pairs_are_analysed_in_under_a_second(tmp_path, figure):

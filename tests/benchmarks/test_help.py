@@ -16,10 +16,10 @@ def test_help_is_there_at_once(figure):
     def run(*command):
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 
-    found = compare(
+    result = compare(
         lambda: run(leactl, "--help"),
         lambda: run(sys.executable, "-c", "import typer"),
         timer=time.perf_counter,
     )
-    figure(f"leactl --help: {found:ms} of python -c 'import typer'; limit {LIMIT}")
-    assert found.ratio <= LIMIT
+    figure(f"leactl --help: {result:ms} of python -c 'import typer'; limit {LIMIT}")
+    assert result.ratio <= LIMIT

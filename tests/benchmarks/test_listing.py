@@ -36,6 +36,6 @@ def test_a_list_costs_little_beside_reading_what_it_shows(tmp_path, figure):
     paths = [shutil.copy(writer.path, tmp_path / f"run-{number:03}.h5") for number in range(RUNS)]
     writer.path.unlink()
     assert [run.duration for run in list_runs(tmp_path)] == [1.0] * RUNS
-    found = compare(lambda: list_runs(tmp_path), lambda: [shown(path) for path in paths], rounds=5)
-    figure(f"list of {RUNS} runs: {found} of reading what it shows by bare h5py; limit {LIMIT}")
-    assert found.ratio <= LIMIT
+    result = compare(lambda: list_runs(tmp_path), lambda: [shown(path) for path in paths], rounds=5)
+    figure(f"list of {RUNS} runs: {result} of reading what it shows by bare h5py; limit {LIMIT}")
+    assert result.ratio <= LIMIT

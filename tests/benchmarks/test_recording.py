@@ -60,8 +60,8 @@ def test_recording_is_nearly_as_fast_as_bare_appends(tmp_path, figure, rows):
                 column[end - rows :] = block[:, place - 1] if place else stamps
             file.flush()
 
-    found = compare(bare, recording, each=BLOCKS)
+    result = compare(bare, recording, each=BLOCKS)
     file.close()
     writer.close("complete")
-    figure(f"recording blocks of {rows} rows: {found.ratio:.2f} of the speed of bare h5py appends; limit {LEAST}")
-    assert found.ratio >= LEAST
+    figure(f"recording blocks of {rows} rows: {result.ratio:.2f} of the speed of bare h5py appends; limit {LEAST}")
+    assert result.ratio >= LEAST

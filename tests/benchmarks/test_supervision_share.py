@@ -81,6 +81,6 @@ def test_the_supervisor_takes_an_eighth_of_a_cycle_at_the_most(tmp_path, figure)
         bench.close()
         writer.close("complete")
 
-    found = compare(judged, cycles, each=CYCLES, rounds=7, before=prepare_next, after=finish)
-    figure(f"supervisor's check and receive, all interlocks: {found:us} of a cycle of two drives; limit {LIMIT}")
-    assert found.ratio <= LIMIT
+    result = compare(judged, cycles, each=CYCLES, rounds=7, before=prepare_next, after=finish)
+    figure(f"supervisor's check and receive, all interlocks: {result:us} of a cycle of two drives; limit {LIMIT}")
+    assert result.ratio <= LIMIT

@@ -52,7 +52,7 @@ def temperatures(sets, drive, stamps):
         high, begin, end = after - 1, float(drive.time[low]), float(drive.time[after])
         asked = stamps[(stamps >= begin) & (stamps < end)]
         step = min(interval, end - begin)
-        found = solve_ivp(
+        result = solve_ivp(
             rates,
             (begin, end),
             state,
@@ -62,8 +62,8 @@ def temperatures(sets, drive, stamps):
             rtol=1e-6,
             atol=1e-6,
         )
-        out.append(found.y[:, :-1])
-        state = found.y[:, -1]
+        out.append(result.y[:, :-1])
+        state = result.y[:, -1]
     return np.concatenate(out, axis=1).reshape(2, len(sets), -1)
 
 
@@ -91,13 +91,13 @@ def test_the_optimum_of_an_ode_solver_a_hundred_times_sooner(tmp_path, figure):
     kept = {}
 
     def left(point):
-        kept[point.tobytes()] = found = together(point)
-        return (found[:, 0] - seen).ravel()
+        kept[point.tobytes()] = result = together(point)
+        return (result[:, 0] - seen).ravel()
 
     def slopes(point):
-        found = kept[point.tobytes()]
+        result = kept[point.tobytes()]
         return np.stack(
-            [((found[:, k + 1] - found[:, 0]) / (STEP * point[k])).ravel() for k in range(len(point))], axis=1
+            [((result[:, k + 1] - result[:, 0]) / (STEP * point[k])).ravel() for k in range(len(point))], axis=1
         )
 
     start = np.array([5.7, 0.305, 1.68, 23.2, 465.0, 25.0, 25.0])

@@ -60,9 +60,9 @@ def test_json_is_pure(bench):
     answer = json.loads(done.stdout, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
     assert list(answer) == ["format", "format_version", "experiment", "runs", "results", "notes"]
     assert answer["runs"] == paths
-    found = {(row["name"], row["condition"]): row for row in answer["results"]}
-    assert found["viscous_damping", "loaded"]["value"] == pytest.approx(0.0238)
-    assert found["r_squared", "design"]["low"] is None
+    results = {(row["name"], row["condition"]): row for row in answer["results"]}
+    assert results["viscous_damping", "loaded"]["value"] == pytest.approx(0.0238)
+    assert results["r_squared", "design"]["low"] is None
 
 
 def test_repeats_and_conditions_have_tables_of_their_own(bench):
@@ -144,11 +144,11 @@ def test_several_experiments_are_analysed_each_by_itself(bench, tmp_path, as_fol
 def test_an_option_goes_to_the_experiments_that_take_it(bench, tmp_path):
     bench.torque()
     bench.friction()
-    told = json.loads(leactl("analyze", tmp_path, "--torque-constant", "0.98", "--json").stdout)
+    document = json.loads(leactl("analyze", tmp_path, "--torque-constant", "0.98", "--json").stdout)
     plain = json.loads(leactl("analyze", tmp_path, "--json").stdout)
     values = [
         {item["name"]: item["value"] for one in answer["analyses"] for item in one["results"]}
-        for answer in (told, plain)
+        for answer in (document, plain)
     ]
     assert values[0]["coulomb_friction"] == pytest.approx(2 * values[1]["coulomb_friction"], rel=0.01)
     assert values[0]["torque_constant"] == values[1]["torque_constant"]

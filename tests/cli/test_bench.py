@@ -79,8 +79,8 @@ def test_a_latch_that_the_watchdog_of_the_lost_run_has_set_stays_as_it_is():
     latch.set("process 1 of the run ended without making the bench safe", Path("r.h5"))
     before = latch.trip()
     lose_a_run()
-    said = leactl("bench", "reset", "emulated", input="n\n").stderr
-    assert "and its watchdog too" not in said
+    output = leactl("bench", "reset", "emulated", input="n\n").stderr
+    assert "and its watchdog too" not in output
     assert latch.trip() == before
 
 
@@ -88,8 +88,8 @@ def test_a_latch_that_is_there_gets_the_lost_run_beside_its_cause():
     place = state_directory()
     Latch("emulated", "emulated", (str(place / "emulated.trip.json"),)).set("test winding of 131 degC", Path("a.h5"))
     lose_a_run()
-    said = leactl("bench", "reset", "emulated", input="n\n").stderr
-    assert "test winding of 131 degC; process 1 of the run heat ended without a word" in said
+    output = leactl("bench", "reset", "emulated", input="n\n").stderr
+    assert "test winding of 131 degC; process 1 of the run heat ended without a word" in output
 
 
 def test_reset_of_a_damaged_latch_says_so_and_asks_too(tmp_path):

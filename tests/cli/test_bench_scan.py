@@ -63,10 +63,10 @@ def answer(served):
         done = leactl("bench", "scan", *(word for words in served.values() for word in words), "--json")
         assert done.returncode == 0, done.stderr
         assert "listens for 1.2 s ..." in done.stderr
-        told = json.loads(done.stdout)
-        if len(told["devices"]) == 4:
+        document = json.loads(done.stdout)
+        if len(document["devices"]) == 4:
             break
-    return told
+    return document
 
 
 def test_every_device_is_told_with_its_driver(answer):

@@ -213,11 +213,11 @@ def test_a_remark_and_a_pause_reach_a_run_and_nothing_running_is_said(here, proc
     run = start(*SPINNING)
     processes.append(run)
     path = live_run(here, run)
-    told = leactl("bench", "remark", "the bearing squeaks")
-    assert (told.returncode, told.stderr) == (0, "")
-    assert told.stdout == f"spin on emulated, process {run.pid} records it\n"
-    told = leactl("bench", "pause", "emulated", "--json")
-    assert json.loads(told.stdout) == {"runs": [{"bench": "emulated", "protocol": "spin", "process": run.pid}]}
+    completed = leactl("bench", "remark", "the bearing squeaks")
+    assert (completed.returncode, completed.stderr) == (0, "")
+    assert completed.stdout == f"spin on emulated, process {run.pid} records it\n"
+    completed = leactl("bench", "pause", "emulated", "--json")
+    assert json.loads(completed.stdout) == {"runs": [{"bench": "emulated", "protocol": "spin", "process": run.pid}]}
     assert leactl("bench", "resume").returncode == 0
     assert leactl("bench", "stop").returncode == 0
     run.communicate()

@@ -50,14 +50,14 @@ def begin():
 
 def finished(folder):
     """Complete runs by what they are of the campaign; every file has to be readable."""
-    found = {}
+    results = {}
     for path in folder.glob("*.h5"):
         with Run.open(path) as run:
             told = dict(event.message.split(" = ") for event in run.events if event.source == "campaign")
             if run.status == "complete":
                 assert verify(path) == []
-                found.setdefault(told["run"], []).append(path.name)
-    return found
+                results.setdefault(told["run"], []).append(path.name)
+    return results
 
 
 def strike(number, after_s):
@@ -196,8 +196,8 @@ def test_a_campaign_under_way_is_seen_and_its_folder_is_taken(here, begin):
     (here / "long.yaml").write_text(SMALL.replace("current_A: 0.5", "hold_s: 3600"))
     process = begin("campaign", "long.yaml", "--out", "out", "--realtime")
     assert "[1/4" in process.stderr.readline()
-    told = json.loads(leactl("campaign", "status", "long.yaml", "--out", "out", "--json").stdout)
-    assert (told["under_way"], told["finished"], len(told["runs"])) == (True, 0, 4)
+    answer = json.loads(leactl("campaign", "status", "long.yaml", "--out", "out", "--json").stdout)
+    assert (answer["under_way"], answer["finished"], len(answer["runs"])) == (True, 0, 4)
     second = leactl("campaign", "long.yaml", "--out", "out")
     assert second.returncode == 5
     assert second.stderr.startswith("leactl: out: the campaign is conducted already, process ")
@@ -267,10 +267,10 @@ def test_a_winding_that_a_supply_may_still_heat_is_refused_at_once_for_no_rest_c
 def test_a_plan_is_printed_and_nothing_is_made(here):
     done = leactl("campaign", "small.yaml", "--dry-run", "--json")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert [row["run"] for row in told["runs"]][:2] == ["s0//unloaded/1", "s1//unloaded/1"]
+    answer = json.loads(done.stdout)
+    assert [row["run"] for row in answer["runs"]][:2] == ["s0//unloaded/1", "s1//unloaded/1"]
     planned = leactl("protocol", "plan", "spin.yaml", "--set", "hold_s=9", "--bench", "emulated", "--json")
-    alone, row = json.loads(planned.stdout), told["runs"][1]
+    alone, row = json.loads(planned.stdout), answer["runs"][1]
     assert (row["step"], row["protocol"], row["duration_s"]) == ("s1", alone["name"], 9)
     keys = ("role", "quantity", "value", "unit")
     assert row["peaks"] == [{key: peak[key] for key in keys} for peak in alone["peaks"]]

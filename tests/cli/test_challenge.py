@@ -10,10 +10,10 @@ from tests.cli.terminal import leactl
 def test_a_short_search_is_pure_json_with_its_progress_beside_it():
     done = leactl("safety", "challenge", "--minutes", "0.001", "--rate", "20", "--json")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["held"] is True
-    assert [one["angle"] for one in told["searches"]] == ["true", "noisy", "stuck", "lost", "drifting"]
-    assert all(one["hottest"]["peak_degC"] <= told["limit_degC"] for one in told["searches"])
+    answer = json.loads(done.stdout)
+    assert answer["held"] is True
+    assert [one["angle"] for one in answer["searches"]] == ["true", "noisy", "stuck", "lost", "drifting"]
+    assert all(one["hottest"]["peak_degC"] <= answer["limit_degC"] for one in answer["searches"])
     assert "search 5 of 5: test, 20 Hz, drifting angle" in done.stderr
 
 

@@ -13,12 +13,12 @@ PAGES = Path(__file__).parents[2] / "docs"
 
 
 def test_every_page_is_listed_with_its_title_and_printed_as_it_is():
-    told = json.loads(leactl("docs", "--json").stdout)
-    assert told["folder"] == str(PAGES)
+    answer = json.loads(leactl("docs", "--json").stdout)
+    assert answer["folder"] == str(PAGES)
     kinds = {page for page in PAGES.glob("*/*.md") if page.parent.name != "decisions"}
-    assert set(told["pages"]) == {page.parent.name if page.stem == "README" else page.stem for page in kinds}
-    assert len(told["pages"]) == len(kinds)
-    assert all(told["pages"].values())
+    assert set(answer["pages"]) == {page.parent.name if page.stem == "README" else page.stem for page in kinds}
+    assert len(answer["pages"]) == len(kinds)
+    assert all(answer["pages"].values())
     assert leactl("docs", "safety").stdout == (PAGES / "explanation" / "safety.md").read_text(encoding="utf-8")
 
 

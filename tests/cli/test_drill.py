@@ -34,15 +34,20 @@ def unguarded(here):
 def test_json_alone_is_on_stdout_and_nothing_is_left_behind(here):
     done = leactl("safety", "drill", "--only", "bus_off", "--only", "scaled_sensor", "--json")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert set(told) == {"bench", "emulated", "held", "findings", "not_rehearsed"}
-    assert (told["bench"], told["emulated"], told["held"], told["not_rehearsed"]) == ("emulated", True, True, [])
-    assert set(told["findings"][1]) == {
+    answer = json.loads(done.stdout)
+    assert set(answer) == {"bench", "emulated", "held", "findings", "not_rehearsed"}
+    assert (answer["bench"], answer["emulated"], answer["held"], answer["not_rehearsed"]) == (
+        "emulated",
+        True,
+        True,
+        [],
+    )
+    assert set(answer["findings"][1]) == {
         "name", "on", "parameters", "ought", "within_s", "status", "reason", "ended_s", "zero_torque_s", "devices",
         "faults", "notes", "run", "held",
     }  # fmt: skip
-    assert [finding["name"] for finding in told["findings"]] == ["no_fault", "bus_off", *["scaled_sensor"] * 3]
-    assert told["findings"][1]["devices"]["drive_test"]["without_power"] is True
+    assert [finding["name"] for finding in answer["findings"]] == ["no_fault", "bus_off", *["scaled_sensor"] * 3]
+    assert answer["findings"][1]["devices"]["drive_test"]["without_power"] is True
     assert done.stderr.splitlines()[0] == "1 of 5: no_fault"
     assert "s left" in done.stderr.splitlines()[-1]
     assert (trip_of("emulated"), os.listdir(here / "tmp")) == (None, [])
@@ -64,9 +69,9 @@ def test_the_report_fits_the_terminal_and_names_what_was_not_rehearsed(columns):
 def test_a_bench_without_an_interlock_ends_with_status_3_and_its_name(here):
     done = leactl("safety", "drill", unguarded(here), "--only", "scaled_sensor", "--json")
     assert done.returncode == 3
-    told = json.loads(done.stdout)
-    assert not told["held"]
-    assert [finding["faults"] for finding in told["findings"] if finding["on"] == "torque_sensor"] == [["not caught"]]
+    answer = json.loads(done.stdout)
+    assert not answer["held"]
+    assert [finding["faults"] for finding in answer["findings"] if finding["on"] == "torque_sensor"] == [["not caught"]]
     line = "leactl: 1 of 4 did not end as they ought to: scaled_sensor torque_sensor: not caught"
     assert done.stderr.splitlines()[-1] == line
     shown = leactl("safety", "drill", "mine.yaml", "--only", "scaled_sensor")
@@ -89,13 +94,13 @@ def test_runs_and_their_bench_files_are_kept_where_they_are_asked_for_and_run_ag
 def test_a_dry_run_tells_what_a_real_bench_would_do_and_opens_nothing(testbed, here):
     done = leactl("safety", "drill", testbed, "--out", "kept", "--report", "page.md", "--dry-run", "--json")
     assert (done.returncode, done.stderr) == (0, "")  # there is no such bus on this machine
-    told = json.loads(done.stdout)
-    (stop,) = told["rehearsals"]
-    assert told["devices"] == ["drive_test", "drive_load", "torque_sensor"]
-    assert (told["emulated"], stop["name"], stop["duration_s"]) == (False, "stop", pytest.approx(31.3))
+    answer = json.loads(done.stdout)
+    (stop,) = answer["rehearsals"]
+    assert answer["devices"] == ["drive_test", "drive_load", "torque_sensor"]
+    assert (answer["emulated"], stop["name"], stop["duration_s"]) == (False, "stop", pytest.approx(31.3))
     demands = {(peak["role"], peak["quantity"], peak["value"], peak["unit"]) for peak in stop["peaks"]}
     assert demands == {("load", "velocity_reference", 1.0, "rad/s"), ("test", "q_axis_current_reference", 1.0, "A")}
-    why = {item["name"]: item["why"] for item in told["not_rehearsed"]}
+    why = {item["name"]: item["why"] for item in answer["not_rehearsed"]}
     assert why["operator_stop"] == "it takes a person at a terminal"
     assert {path.name for path in here.iterdir()} <= {"tmp", "testbed.yaml", "machine"}
     text = leactl("safety", "drill", testbed, "--dry-run").stdout
@@ -103,8 +108,8 @@ def test_a_dry_run_tells_what_a_real_bench_would_do_and_opens_nothing(testbed, h
 
 
 def test_a_dry_run_of_an_emulated_bench_names_each_rehearsal(here):
-    told = json.loads(leactl("safety", "drill", "--only", "frozen_drive", "--dry-run", "--json").stdout)
-    names = [(item["name"], item["on"]) for item in told["rehearsals"]]
+    answer = json.loads(leactl("safety", "drill", "--only", "frozen_drive", "--dry-run", "--json").stdout)
+    names = [(item["name"], item["on"]) for item in answer["rehearsals"]]
     assert names == [("no_fault", ""), ("frozen_drive", "drive_test"), ("frozen_drive", "drive_load")]
     assert {path.name for path in here.iterdir()} <= {"tmp", "state"}
 
@@ -175,12 +180,12 @@ def served(here):
 def test_a_bench_on_real_buses_is_stopped_and_asked_to_confirm(served):
     done = leactl("safety", "drill", *served, "--yes", "--json")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    (stop,) = told["findings"]
+    answer = json.loads(done.stdout)
+    (stop,) = answer["findings"]
     assert (stop["name"], stop["status"], stop["reason"]) == ("stop", "stopped", "stopped by the drill")
     assert {name: end["confirmed"] for name, end in stop["devices"].items()} == {"drive_test": True, "drive_load": True}
     assert 0 < stop["ended_s"] <= stop["within_s"]
-    why = {item["name"]: item["why"] for item in told["not_rehearsed"]}
+    why = {item["name"]: item["why"] for item in answer["not_rehearsed"]}
     assert why["operator_stop"] == "it takes a person at a terminal"
     assert why["sensor_unplugged"] == "no sensor on an analogue input"
     assert "kill -9" in why["dead_man"]
@@ -208,9 +213,9 @@ def test_a_person_at_the_terminal_agrees_and_presses_the_key(at_the_bench):
 
 def test_a_person_who_does_not_agree_moves_nothing(at_the_bench, here):
     os.write(at_the_bench.hands, b"no\n")
-    told = json.loads(at_the_bench.wait())
-    assert (at_the_bench.process.returncode, told["findings"]) == (0, [])
-    assert told["not_rehearsed"][0] == {"name": "operator_stop", "why": "not agreed to"}
+    answer = json.loads(at_the_bench.wait())
+    assert (at_the_bench.process.returncode, answer["findings"]) == (0, [])
+    assert answer["not_rehearsed"][0] == {"name": "operator_stop", "why": "not agreed to"}
 
 
 def test_a_bench_that_another_run_holds_is_not_drilled(testbed, holder):

@@ -82,8 +82,8 @@ def runs_of_cells(folder):
 def rows_of(report):
     """The torque constants of a report by actuator and condition."""
     text = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", report.read_text(encoding="utf-8")))
-    found = re.findall(r"torque constant (\w+) (LEA-\d) ([\d.]+) ±", text)
-    return {(actuator, condition): float(value) for condition, actuator, value in found}
+    matches = re.findall(r"torque constant (\w+) (LEA-\d) ([\d.]+) ±", text)
+    return {(actuator, condition): float(value) for condition, actuator, value in matches}
 
 
 def look_at_all_of_it(here):

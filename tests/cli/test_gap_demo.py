@@ -25,10 +25,10 @@ def test_the_demonstration_names_what_it_planted_within_half_a_minute(tmp_path):
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert done.returncode == 0, done.stderr
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 60  # of two cores
-    said = json.loads(done.stdout)
-    assert said["outcome"] == "named"
-    assert said["answer"]["causes"][0]["effect"] == said["planted"]["effect"]
-    assert said["answer"] == json.loads((tmp_path / "demo" / "answer.json").read_text(encoding="utf-8"))
+    answer = json.loads(done.stdout)
+    assert answer["outcome"] == "named"
+    assert answer["answer"]["causes"][0]["effect"] == answer["planted"]["effect"]
+    assert answer["answer"] == json.loads((tmp_path / "demo" / "answer.json").read_text(encoding="utf-8"))
     page = (tmp_path / "demo" / "gap.html").read_text(encoding="utf-8")
     assert "Planted and named" in page
     again = leactl("gap", "demo", "--seed", "1", "--out", tmp_path / "demo")

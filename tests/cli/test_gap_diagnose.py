@@ -67,18 +67,18 @@ def fits(found, keys, optional=()):
 
 
 def test_the_document_has_the_keys_of_the_format_and_no_other(diagnosed):
-    said = diagnosed.json
-    fits(said, DOCUMENT, ("unexplained",))
-    assert (said["format"], said["format_version"]) == ("leactl-gap", 1)
-    assert 0 <= said["unexplained_probability"] <= 1
-    assert all(isinstance(note, str) for note in said["notes"])
-    for item in said["where"]:
+    answer = diagnosed.json
+    fits(answer, DOCUMENT, ("unexplained",))
+    assert (answer["format"], answer["format_version"]) == ("leactl-gap", 1)
+    assert 0 <= answer["unexplained_probability"] <= 1
+    assert all(isinstance(note, str) for note in answer["notes"])
+    for item in answer["where"]:
         fits(item, WHERE, ("region",))
         if item["region"] is not None:
             fits(item["region"], REGION)
-    for item in said["calibration"]:
+    for item in answer["calibration"]:
         fits(item, CALIBRATION)
-    for item in said["causes"]:
+    for item in answer["causes"]:
         fits(item, CAUSE, ("separating_experiment", "change", "picture"))
         if item["picture"] is not None:
             fits(item["picture"], PICTURE, ("periods", "along", "refitted"))
@@ -87,7 +87,7 @@ def test_the_document_has_the_keys_of_the_format_and_no_other(diagnosed):
         assert item["separating_experiment"] is None or isinstance(item["separating_experiment"], str)
         for parameter in item["parameters"]:
             fits(parameter, PARAMETER)
-    for item in said["shrinkage"]:
+    for item in answer["shrinkage"]:
         fits(item, SHRINKAGE, ("closed", "closed_low", "closed_high"))
 
 
@@ -129,13 +129,13 @@ def test_where_is_sorted_and_its_regions_hold_a_share(diagnosed):
 
 
 def test_causes_are_sorted_and_known(diagnosed):
-    said = diagnosed.json
-    chances = [cause["probability"] for cause in said["causes"]]
+    answer = diagnosed.json
+    chances = [cause["probability"] for cause in answer["causes"]]
     assert chances == sorted(chances, reverse=True)
     assert all(0.01 <= chance <= 1 for chance in chances)
-    assert (said["verdict"] == "effect") == any(chance >= 0.5 for chance in chances)
-    assert len({cause["effect"] for cause in said["causes"]}) == len(said["causes"])
-    for cause in said["causes"]:
+    assert (answer["verdict"] == "effect") == any(chance >= 0.5 for chance in chances)
+    assert len({cause["effect"] for cause in answer["causes"]}) == len(answer["causes"])
+    for cause in answer["causes"]:
         definition = effect_definition(cause["effect"]).parameters
         assert {p["name"]: p["units"] for p in cause["parameters"]}.items() <= {
             name: one.units for name, one in definition.items()

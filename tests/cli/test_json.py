@@ -29,11 +29,11 @@ def commands(group=None, path=()):
 def test_every_command_with_an_answer_takes_json_as_a_flag():
     lacking, kinds = set(), {}
     for name, command in commands():
-        found = [option for option in command.params if "--json" in option.opts]
-        lacking |= set() if found else {name}
-        if found:
-            kinds[name] = found[0].is_flag
-        assert all(option.help for option in found), name
+        results = [option for option in command.params if "--json" in option.opts]
+        lacking |= set() if results else {name}
+        if results:
+            kinds[name] = results[0].is_flag
+        assert all(option.help for option in results), name
     assert lacking == WITHOUT.keys()
     assert [name for name, flag in kinds.items() if not flag] == [TO_A_FILE_TOO]
 

@@ -96,8 +96,8 @@ def test_energy_of_three_motors_at_their_best_ratios_and_at_one(walk):
         energies = one["energies_J"]
         for ratio in (0.8 * one["ratio"], 1.25 * one["ratio"]):
             other = json.loads(asked("energy", *options, "--motor", motor, "--ratio", ratio, "--json"))
-            found = other["cycles"][0]["motors"][0]
-            assert found["energies_J"]["electrical"] > energies["electrical"] or not found["feasible"]
+            result = other["cycles"][0]["motors"][0]
+            assert result["energies_J"]["electrical"] > energies["electrical"] or not result["feasible"]
     text = asked("energy", *options)
     assert "ec-4pole-30: its Coulomb friction is not known: losses are at least these" in text
     assert max(map(len, text.splitlines())) <= 100

@@ -79,15 +79,15 @@ def leactl(folder, *arguments):
 @pytest.fixture(scope="module")
 def run(folder):
     """A run of the emulated bench that such a system made."""
-    said = leactl(folder, "run", "position-step", "--bench", "emulated", "--out", folder / "runs", "--json")
-    assert said.returncode == 0, said.stderr
-    return json.loads(said.stdout)["run"]
+    completed = leactl(folder, "run", "position-step", "--bench", "emulated", "--out", folder / "runs", "--json")
+    assert completed.returncode == 0, completed.stderr
+    return json.loads(completed.stdout)["run"]
 
 
 def test_a_run_of_the_emulated_bench_is_whole_and_analysed(folder, run):
     for arguments in (["runs", "verify", run], ["analyze", run], ["runs", "show", run]):
-        said = leactl(folder, *arguments)
-        assert said.returncode == 0, said.stderr
+        completed = leactl(folder, *arguments)
+        assert completed.returncode == 0, completed.stderr
 
 
 @pytest.mark.parametrize(
@@ -95,28 +95,28 @@ def test_a_run_of_the_emulated_bench_is_whole_and_analysed(folder, run):
     ["protocol list", "protocol plan friction", "motor show lea", "gap effects", "runs list runs", "doctor --json"],
 )
 def test_what_is_offline_works(folder, run, command):
-    said = leactl(folder, *command.split())
-    assert "internal error" not in said.stderr
-    assert said.returncode == 0 or command.startswith("doctor"), said.stderr
+    completed = leactl(folder, *command.split())
+    assert "internal error" not in completed.stderr
+    assert completed.returncode == 0 or command.startswith("doctor"), completed.stderr
 
 
 @pytest.mark.long
 def test_a_run_is_reported_and_indexed(folder, run):
-    said = leactl(folder, "report", run, "--html", "sheet.html")
-    assert said.returncode == 0, said.stderr
+    completed = leactl(folder, "report", run, "--html", "sheet.html")
+    assert completed.returncode == 0, completed.stderr
     assert "position step" in (folder / "sheet.html").read_text(encoding="utf-8").lower()
-    said = leactl(folder, "runs", "index", "runs")
-    assert said.returncode == 0, said.stderr
+    completed = leactl(folder, "runs", "index", "runs")
+    assert completed.returncode == 0, completed.stderr
     listed = leactl(folder, "runs", "list", "runs", "--where", "protocol == 'position-step'", "--json")
     assert (len(json.loads(listed.stdout)["runs"]), listed.stderr) == (1, "")
 
 
 def test_what_is_exported_is_imported_again(folder, run):
-    said = leactl(folder, "runs", "export", run, "--format", "csv", "--out", "csv")
-    assert said.returncode == 0, said.stderr
+    completed = leactl(folder, "runs", "export", run, "--format", "csv", "--out", "csv")
+    assert completed.returncode == 0, completed.stderr
     (folder / "map.yaml").write_text(MAP, encoding="utf-8")
-    said = leactl(folder, "runs", "import", "csv/*.loop.csv", "--map", "map.yaml", "--out", "imported")
-    assert said.returncode == 0, said.stderr
+    completed = leactl(folder, "runs", "import", "csv/*.loop.csv", "--map", "map.yaml", "--out", "imported")
+    assert completed.returncode == 0, completed.stderr
     [imported] = (folder / "imported").glob("*.h5")
     with Run.open(folder / run) as before, Run.open(imported) as after:
         np.testing.assert_array_equal(after["angle"].values, before["angle"].values)
@@ -132,12 +132,14 @@ def model(folder):
 def test_a_gap_is_diagnosed(folder, model):
     few = ("--set", "trials=1", "--set", "levels_A=[4.9, 9.8]", "--set", "rest_s=3")
     for name in ("fit", "held"):
-        said = leactl(folder, "run", "torque-constant", *few, "--out", name)
-        assert said.returncode == 0, said.stderr
+        completed = leactl(folder, "run", "torque-constant", *few, "--out", name)
+        assert completed.returncode == 0, completed.stderr
     fit, held = (next((folder / name).glob("*.h5")) for name in ("fit", "held"))
-    said = leactl(folder, "gap", "diagnose", fit, "--held-out", held, "--model", model, "--html", "gap.html", "--json")
-    assert said.returncode == 0, said.stderr
-    assert json.loads(said.stdout)["verdict"] == "none"
+    completed = leactl(
+        folder, "gap", "diagnose", fit, "--held-out", held, "--model", model, "--html", "gap.html", "--json"
+    )
+    assert completed.returncode == 0, completed.stderr
+    assert json.loads(completed.stdout)["verdict"] == "none"
     assert (folder / "gap.html").is_file()
 
 
@@ -149,17 +151,17 @@ def test_python_makes_opens_analyses_and_replays_a_run(folder, model):
 
 
 def test_the_page_of_a_run_is_refused_at_the_door(folder):
-    said = leactl(folder, "run", "position-step", "--web", "--out", "shown")
-    assert (said.returncode, said.stdout) == (2, "")
-    assert said.stderr == "leactl: --web: the page of a run is served on POSIX systems alone\n"
+    completed = leactl(folder, "run", "position-step", "--web", "--out", "shown")
+    assert (completed.returncode, completed.stdout) == (2, "")
+    assert completed.stderr == "leactl: --web: the page of a run is served on POSIX systems alone\n"
     assert not (folder / "shown").exists()
 
 
 def test_text_of_other_systems_is_read(folder):
     plain = leactl(folder, "protocol", "show", "friction").stdout
     (folder / "of-windows.yaml").write_bytes(("\ufeff" + plain).encode().replace(b"\n", b"\r\n"))
-    said = leactl(folder, "protocol", "plan", "of-windows.yaml")
-    assert said.returncode == 0, said.stderr
+    completed = leactl(folder, "protocol", "plan", "of-windows.yaml")
+    assert completed.returncode == 0, completed.stderr
 
 
 def test_a_real_bench_wants_linux(monkeypatch):

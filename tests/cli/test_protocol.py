@@ -213,8 +213,8 @@ def test_a_value_that_cannot_be_used(mine, given, words):
 
 def test_plan_says_where_the_bound_of_a_winding_rests_on_one_sensor(mine, tmp_path):
     text = "the bound of the test winding rests on one sensor, q_axis_current: in set-up "
-    said = leactl("protocol", "plan", "friction", "--bench", "emulated").stdout.splitlines()
-    assert f"{text}'free' nothing else shows a current that is misread" in said
+    lines = leactl("protocol", "plan", "friction", "--bench", "emulated").stdout.splitlines()
+    assert f"{text}'free' nothing else shows a current that is misread" in lines
     assert text not in leactl("protocol", "plan", mine, "--bench", "emulated").stdout  # beside a torque sensor
     bench = (SHIPPED / "emulated.yaml").read_text().replace("name: emulated", "name: mine")
     (tmp_path / "bench.yaml").write_text("".join(x for x in bench.splitlines(True) if "torque_disagreement" not in x))

@@ -37,9 +37,9 @@ def test_a_shell_gets_the_page_the_table_and_what_was_left_out(here):
     assert "not analysed: spring/broken.h5: not a" in done.stderr
     body = json.loads(done.stdout, parse_constant=lambda name: pytest.fail(name))
     rows = {(row["name"], row["condition"]): row for row in body["sections"][0]["rows"]}
-    found = rows["coulomb_friction", "design"]["values"][0]
-    assert found["value"] == pytest.approx(0.2, abs=0.002)
-    assert found["runs"] == ["R1"]
+    result = rows["coulomb_friction", "design"]["values"][0]
+    assert result["value"] == pytest.approx(0.2, abs=0.002)
+    assert result["runs"] == ["R1"]
     assert rows["coulomb_friction", "loaded"]["values"][0]["lacks"] == "not measured"
     assert [run["fault"] is None for run in body["sets"][0]["runs"]] == [True, True, False]
     assert (here / "out.html").read_text().startswith("<!DOCTYPE html>")

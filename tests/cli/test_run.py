@@ -32,8 +32,8 @@ def test_json_is_pure_and_names_the_run(here):
     assert verify(here / answer["run"]) == []
     shown = json.loads(leactl("runs", "show", answer["run"], "--json").stdout)
     assert shown["attributes"]["seed"] == "7"
-    found = leactl("runs", "list", "runs", "--where", "seed=7")
-    assert found.stdout.split()[-1] == "seed=7"
+    completed = leactl("runs", "list", "runs", "--where", "seed=7")
+    assert completed.stdout.split()[-1] == "seed=7"
     assert leactl("runs", "list", "runs", "--where", "seed=8").stdout == ""
     assert shown["parameters"] == {"current_A": 0.7, "hold_s": 0.5, "trials": 1}
     assert {name: device["confirmed"] for name, device in answer["safe"].items()} == {

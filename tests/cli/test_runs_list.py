@@ -117,9 +117,9 @@ def test_text_has_file_names_and_the_parameters_that_differ(sweep):
     assert next(line for line in lines if line.startswith("copy.h5")).split()[3] == "friction"
     assert "direction" not in "".join(lines)  # one run alone has it
     assert next(line for line in lines if line.startswith("none.h5")).split(maxsplit=1)[1].startswith("unreadable: ")
-    found = leactl("runs", "list", sweep, "--where", "direction=both")
-    assert found.stdout.split()[-1] == "direction=both"
-    assert found.stderr == "leactl: 1 of 8 files cannot be read and are left out\n"
+    completed = leactl("runs", "list", sweep, "--where", "direction=both")
+    assert completed.stdout.split()[-1] == "direction=both"
+    assert completed.stderr == "leactl: 1 of 8 files cannot be read and are left out\n"
 
 
 def test_rows_fit_a_terminal_of_80_columns(sweep):

@@ -50,25 +50,25 @@ def test_a_shell_gets_the_sentence_the_tables_and_json(bench):
     assert "coulomb_friction differs between conditions (F(2, 12) = " in " ".join(done.stdout.split())
     assert "one actuator ('a1'): no random factor" in " ".join(done.stdout.split())
     body = json.loads(leactl("stats", *names, "--json").stdout, parse_constant=lambda name: pytest.fail(name))
-    found = {one["name"]: one for one in body["results"]}
-    assert [row["count"] for row in found["coulomb_friction"]["conditions"]] == [5, 5, 5]
-    assert found["coulomb_friction"]["conditions"][0]["mean"] == pytest.approx(0.24, abs=0.01)
-    assert not found["viscous_damping"]["shown"]
-    assert found["viscous_damping"]["sentence"].startswith("No effect of the condition")
+    results = {one["name"]: one for one in body["results"]}
+    assert [row["count"] for row in results["coulomb_friction"]["conditions"]] == [5, 5, 5]
+    assert results["coulomb_friction"]["conditions"][0]["mean"] == pytest.approx(0.24, abs=0.01)
+    assert not results["viscous_damping"]["shown"]
+    assert results["viscous_damping"]["sentence"].startswith("No effect of the condition")
 
 
 def test_two_actuators_are_a_random_factor(bench):
-    found = {one.name: one for one in compare_all(runs(bench, ("a1", "a2")))[1]}["coulomb_friction"]
-    assert (found.anova.test.between, found.anova.test.within) == (2, 26)
-    assert any("holds for these 2 actuators" in note for note in found.notes)
+    result = {one.name: one for one in compare_all(runs(bench, ("a1", "a2")))[1]}["coulomb_friction"]
+    assert (result.anova.test.between, result.anova.test.within) == (2, 26)
+    assert any("holds for these 2 actuators" in note for note in result.notes)
 
 
 def test_missing_repeats_and_cells_are_said_and_the_rest_is_compared(bench):
     paths = runs(bench, ("a1", "a2"))[:-1] + runs(bench, ("a1",), trials=2, conditions=("loaded",))
-    found = {one.name: one for one in compare_all(paths)[1]}["coulomb_friction"]
-    assert any(note.startswith("numbers are unequal: unloaded 10, design 10, loaded 7") for note in found.notes)
-    assert "not measured: a2 loaded" in found.notes
-    assert found.anova.test.shown
+    result = {one.name: one for one in compare_all(paths)[1]}["coulomb_friction"]
+    assert any(note.startswith("numbers are unequal: unloaded 10, design 10, loaded 7") for note in result.notes)
+    assert "not measured: a2 loaded" in result.notes
+    assert result.anova.test.shown
 
 
 def test_a_trial_whose_samples_are_missing_is_left_out_and_said(bench):
@@ -76,9 +76,9 @@ def test_a_trial_whose_samples_are_missing_is_left_out_and_said(bench):
         columns["velocity"][time < 25.0] = np.nan  # the first of five trials, ten holds of 2.5 s
 
     paths = [*runs(bench, conditions=("unloaded", "design")), *runs(bench, conditions=("loaded",), edit=lost)]
-    found = {one.name: one for one in compare_all(paths)[1]}["coulomb_friction"]
-    assert [group.count for group in found.groups] == [5, 5, 4]
-    assert any("1 of 5 trials gave nothing (1)" in note for note in found.notes)
+    result = {one.name: one for one in compare_all(paths)[1]}["coulomb_friction"]
+    assert [group.count for group in result.groups] == [5, 5, 4]
+    assert any("1 of 5 trials gave nothing (1)" in note for note in result.notes)
 
 
 def test_what_the_analysis_is_told_is_in_the_values(bench):
@@ -97,8 +97,8 @@ def test_what_the_analysis_is_told_is_in_the_values(bench):
 
 def test_by_run_takes_each_run_once(bench):
     paths = runs(bench) + runs(bench)
-    found = {one.name: one for one in compare_all(paths, by_run=True)[1]}["coulomb_friction"]
-    assert [group.count for group in found.groups] == [2, 2, 2]
+    result = {one.name: one for one in compare_all(paths, by_run=True)[1]}["coulomb_friction"]
+    assert [group.count for group in result.groups] == [2, 2, 2]
 
 
 class Numbered(Bench):
@@ -122,10 +122,10 @@ def coasts(bench, actuators=("a1", "a2")):
 def test_one_value_a_run_is_taken_and_said_where_no_trial_can_be_analysed(bench):
     names = [path.name for path in coasts(bench)]
     body = json.loads(leactl("stats", *names, "--json").stdout)
-    found = {one["name"]: one for one in body["results"]}
-    assert [row["count"] for row in found["coulomb_friction"]["conditions"]] == [2, 2, 2]
-    assert found["coulomb_friction"]["shown"]
-    said = [note for note in found["coulomb_friction"]["notes"] if note.startswith("one value a run")]
+    results = {one["name"]: one for one in body["results"]}
+    assert [row["count"] for row in results["coulomb_friction"]["conditions"]] == [2, 2, 2]
+    assert results["coulomb_friction"]["shown"]
+    said = [note for note in results["coulomb_friction"]["notes"] if note.startswith("one value a run")]
     assert len(said) == 1
     assert "found 2 run-outs in 2 directions" in said[0]
     text = " ".join(leactl("stats", *names).stdout.split())
@@ -151,11 +151,11 @@ def test_a_result_that_single_trials_do_not_tell_is_compared_by_runs_and_the_oth
         for label in ("design", "loaded")
         for _ in range(2)
     ]
-    found = {one.name: one for one in compare_all(paths)[1]}
-    assert [group.count for group in found["highest_torque"].groups] == [2, 2]
-    assert any(note.startswith("one value a run") for note in found["highest_torque"].notes)
-    assert [group.count for group in found["corner_speed"].groups] == [4, 4]
-    assert not any(note.startswith("one value a run") for note in found["corner_speed"].notes)
+    results = {one.name: one for one in compare_all(paths)[1]}
+    assert [group.count for group in results["highest_torque"].groups] == [2, 2]
+    assert any(note.startswith("one value a run") for note in results["highest_torque"].notes)
+    assert [group.count for group in results["corner_speed"].groups] == [4, 4]
+    assert not any(note.startswith("one value a run") for note in results["corner_speed"].notes)
     assert [one.name for one in compare_all(paths, ["highest_torque"])[1]] == ["highest_torque"]
 
 
@@ -165,11 +165,11 @@ def test_answers_of_analyze_are_repeats(bench, tmp_path):
         path = tmp_path / f"answer{number}.json"
         path.write_text(json.dumps(analyze_runs(runs(bench)).as_json()))
         paths.append(path)
-    found = {one.name: one for one in compare_all(paths)[1]}["coulomb_friction"]
+    result = {one.name: one for one in compare_all(paths)[1]}["coulomb_friction"]
     with pytest.raises(InputError, match=r"answer0\.json: .* takes no torque_constant; give runs"):
         compare_all(paths, torque_constant=0.5)
-    assert [group.count for group in found.groups] == [3, 3, 3]
-    assert found.anova.test.shown
+    assert [group.count for group in result.groups] == [3, 3, 3]
+    assert result.anova.test.shown
 
 
 def test_the_same_runs_in_two_answers_count_once(bench, tmp_path):
@@ -237,8 +237,8 @@ def test_runs_of_several_experiments_are_compared_each_by_itself(bench, tmp_path
     text = leactl("stats", tmp_path, COLUMNS="80").stdout
     assert "friction: " in text
     assert "torque-constant: " in text
-    told = leactl("stats", tmp_path, "--set", "torque_constant=0.3")  # friction alone takes it
-    assert told.returncode == 0
+    completed = leactl("stats", tmp_path, "--set", "torque_constant=0.3")  # friction alone takes it
+    assert completed.returncode == 0
     for words in (["--set", "gain=1"], ["--result", "gain"]):
         refused = leactl("stats", tmp_path, *words)
         assert (refused.returncode, refused.stdout) == (2, "")

@@ -17,8 +17,8 @@ COVERED = 0.95
 def likeness(seed: int, noise: float) -> tuple[float, float]:
     """Error and claim of one pair of channels that measured the same [s]."""
     own, reference, offset, rate = pair(seed, noise)
-    found = align_by_similarity(own, reference, 2.0, "both", near_s=5.0, drift_within=DRIFT)
-    return judged(found, 8.0, offset, rate)
+    result = align_by_similarity(own, reference, 2.0, "both", near_s=5.0, drift_within=DRIFT)
+    return judged(result, 8.0, offset, rate)
 
 
 def onset(seed: int, noise: float) -> tuple[float, float]:

@@ -57,15 +57,15 @@ def main() -> int:
         truths = [true_values(Truth(), result.grids) for result in answers]
         for name in truths[0]:
             values = [truth[name] for truth in truths]
-            found = judge(name, case, values, [result.find(name) for result in answers])
-            errors = (found.mean_error, found.worst_error, found.bias, found.scatter, found.printed)
+            outcome = judge(name, case, values, [result.find(name) for result in answers])
+            errors = (outcome.mean_error, outcome.worst_error, outcome.bias, outcome.scatter, outcome.printed)
             shown = "".join(f"{error:10.4%}" for error in errors)
-            print(f"{name:34}{case:12}{found.seeds:6}{found.covered:10.1%}{shown}", flush=True)
-            if not LEAST_COVERED <= found.covered <= MOST_COVERED:
-                faults.append(f"{name}, {case}: the interval holds the true value in {found.covered:.1%} of seeds")
+            print(f"{name:34}{case:12}{outcome.seeds:6}{outcome.covered:10.1%}{shown}", flush=True)
+            if not LEAST_COVERED <= outcome.covered <= MOST_COVERED:
+                faults.append(f"{name}, {case}: the interval holds the true value in {outcome.covered:.1%} of seeds")
             most = MOST_LOSS if "loss" in name else MOST_POINTS / min(map(abs, values))
-            if case == "noise" and not found.worst_error <= most:
-                faults.append(f"{name}, {case}: the worst seed is off by {found.worst_error:.2%}")
+            if case == "noise" and not outcome.worst_error <= most:
+                faults.append(f"{name}, {case}: the worst seed is off by {outcome.worst_error:.2%}")
     for fault in faults:
         print(fault)
     return 1 if faults else 0
@@ -99,7 +99,7 @@ def true_values(truth: Truth, grids: Sequence[Grid]) -> dict[str, float]:
 
     Speeds are those that the encoder saw: near the voltage's limit and soon after a step they are not quite the asked.
     """
-    found = {}
+    results = {}
     for grid in grids:
         w = np.abs(np.array(grid.values["velocity_rad_s"]))
         held = np.isfinite(w)
@@ -109,14 +109,14 @@ def true_values(truth: Truth, grids: Sequence[Grid]) -> dict[str, float]:
         own, electrical, mechanical = np.broadcast_arrays(*powers)
         share = mechanical / electrical if driving else electrical / mechanical
         lost = electrical - mechanical if driving else mechanical - electrical
-        found |= {
+        results |= {
             f"{grid.name}_efficiency": float(share[held].mean()),
             f"{grid.name}_efficiency_highest": float(share[held].max()),
             f"{grid.name}_loss": float(lost[held].mean()),
             f"{grid.name}_loss_copper": float((truth.r * own**2)[held].mean()),
             f"{grid.name}_loss_friction": float((truth.drag(w) * w)[held].mean()),
         }
-    return found
+    return results
 
 
 if __name__ == "__main__":

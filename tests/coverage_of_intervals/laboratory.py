@@ -40,15 +40,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for experiment in asked.only or CASES:
         print(f"\n{experiment}\n{HEAD}", flush=True)
         for case in CASES[experiment]:
-            found: list[tuple[Judgement, bool]] = []
+            result: list[tuple[Judgement, bool]] = []
             answers: list[Answer] = []
-            while not answers or (len(answers) < AGAIN * asked.seeds and any(faults_of(*one) for one in found)):
+            while not answers or (len(answers) < AGAIN * asked.seeds and any(faults_of(*one) for one in result)):
                 first = len(answers) + 1
                 wanted = [(experiment, case, seed) for seed in range(first, first + asked.seeds)]
                 with Pool(asked.processes) as pool:
                     answers += pool.map(answered, wanted, chunksize=1)
-                found = judged(case, answers)
-            for item, bound in found:
+                result = judged(case, answers)
+            for item, bound in result:
                 print(shown(item, bound), flush=True)
                 faults += [f"{experiment}: {fault}" for fault in faults_of(item, bound)]
     for fault in faults:

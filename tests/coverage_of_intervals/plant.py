@@ -93,13 +93,13 @@ class WatchedRig(Rig):
 
     def figures(self) -> StepFigures:
         """Figures of every jump, mean over all of them, each level having as many."""
-        found = []
+        results = []
         for jump in self.jumps:
             time, values = np.array(jump).T
             one = values[time > STEADY_S].mean()
-            found.append(figures(time, (values - values[0]) / (one - values[0])))
+            results.append(figures(time, (values - values[0]) / (one - values[0])))
         names = ("rise_time", "overshoot", "settling_time")
-        return StepFigures(*(float(np.mean([getattr(one, name) for one in found])) for name in names))
+        return StepFigures(*(float(np.mean([getattr(one, name) for one in results])) for name in names))
 
 
 def position_bandwidth(loops: Mapping[str, float], condition: str, std: float, seed: int) -> float:

@@ -12,12 +12,12 @@ def estimates(values, half=0.5):
 
 
 def test_shares_and_errors_are_counted():
-    found = judge("viscous_damping", "design", 10.0, estimates([10.0, 10.4, 9.8, 10.6]))
-    assert found.covered == 0.75
-    assert found.worst_error == pytest.approx(0.06)
-    assert found.mean_error == pytest.approx(0.03)
-    assert found.bias == pytest.approx(0.02)
-    assert found.printed == pytest.approx(0.025)
+    result = judge("viscous_damping", "design", 10.0, estimates([10.0, 10.4, 9.8, 10.6]))
+    assert result.covered == 0.75
+    assert result.worst_error == pytest.approx(0.06)
+    assert result.mean_error == pytest.approx(0.03)
+    assert result.bias == pytest.approx(0.02)
+    assert result.printed == pytest.approx(0.025)
 
 
 @pytest.mark.parametrize(
@@ -25,8 +25,8 @@ def test_shares_and_errors_are_counted():
 )
 def test_too_many_and_too_few_are_faults(outside, fault):
     values = [10.0] * (100 - outside) + [10.2] * outside
-    found = judge("viscous_damping", "design", 10.0, estimates(values, half=0.1)).faults
-    assert found == [] if fault is None else fault in found[0]
+    result = judge("viscous_damping", "design", 10.0, estimates(values, half=0.1)).faults
+    assert result == [] if fault is None else fault in result[0]
 
 
 def test_a_seed_far_off_is_a_fault_and_results_without_a_limit_have_none():
@@ -36,8 +36,8 @@ def test_a_seed_far_off_is_a_fault_and_results_without_a_limit_have_none():
 
 
 def test_each_seed_may_have_a_truth_of_its_own_and_a_truth_of_zero_gives_absolute_errors():
-    found = judge("viscous_damping", "design", [10.0, 20.0, 30.0], estimates([10.1, 20.2, 31.5]))
-    assert found.covered == pytest.approx(2 / 3)
-    assert found.worst_error == pytest.approx(0.05)
+    result = judge("viscous_damping", "design", [10.0, 20.0, 30.0], estimates([10.1, 20.2, 31.5]))
+    assert result.covered == pytest.approx(2 / 3)
+    assert result.worst_error == pytest.approx(0.05)
     zero = judge("steady_state_error", "design", 0.0, estimates([0.1, -0.2]))
     assert (zero.covered, zero.worst_error) == (1.0, pytest.approx(0.2))

@@ -46,5 +46,5 @@ def test_the_table_has_every_case_and_one_seed_is_too_few_for_a_share_between(ca
 def test_a_bound_may_hold_always_and_must_hold_often(outside, fault):
     highs = [2.0] * (100 - outside) + [0.5] * outside
     bounds = [Estimate("eddy_damping", float("nan"), float("nan"), 0.0, high, "N*m*s/rad") for high in highs]
-    found = faults_of(judge("eddy_damping", "noise", 1.0, bounds), True)
-    assert found == [] if fault is None else fault in found[0]
+    faults = faults_of(judge("eddy_damping", "noise", 1.0, bounds), True)
+    assert faults == [] if fault is None else fault in faults[0]

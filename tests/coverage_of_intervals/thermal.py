@@ -55,14 +55,14 @@ def main() -> int:
         with Pool(asked.processes) as pool:
             results = pool.map(answered, wanted, chunksize=1)
         for name, value in true.items():
-            found = judge(name, case, value, [result.find(name) for result in results])
-            errors = (found.mean_error, found.worst_error, found.bias, found.scatter, found.printed)
+            outcome = judge(name, case, value, [result.find(name) for result in results])
+            errors = (outcome.mean_error, outcome.worst_error, outcome.bias, outcome.scatter, outcome.printed)
             shown = "".join(f"{error:10.4%}" for error in errors)
-            print(f"{name:30}{case:12}{found.seeds:6}{found.covered:10.1%}{shown}", flush=True)
-            if not LEAST_COVERED <= found.covered <= MOST_COVERED:
-                faults.append(f"{name}, {case}: the interval holds the true value in {found.covered:.1%} of seeds")
-            if case != "instruments" and found.worst_error > WORST.get(name, math.inf):
-                faults.append(f"{name}, {case}: the worst seed is off by {found.worst_error:.2%}")
+            print(f"{name:30}{case:12}{outcome.seeds:6}{outcome.covered:10.1%}{shown}", flush=True)
+            if not LEAST_COVERED <= outcome.covered <= MOST_COVERED:
+                faults.append(f"{name}, {case}: the interval holds the true value in {outcome.covered:.1%} of seeds")
+            if case != "instruments" and outcome.worst_error > WORST.get(name, math.inf):
+                faults.append(f"{name}, {case}: the worst seed is off by {outcome.worst_error:.2%}")
         joint = np.mean([distance(result, plant) < JOINT for result in results])
         over = max(result.find("rmse_over_noise").value for result in results)
         print(f"{'all five together':30}{case:12}{asked.seeds:6}{joint:10.1%}   residuals {over:.4f} of the noise")
@@ -109,7 +109,7 @@ def distance(result: Result, plant: Plant) -> float:
 
 def currents(plant: Plant) -> dict[str, float]:
     """Currents that take the hottest phase to its limit, by the plant's own four bodies."""
-    found = {}
+    results = {}
     for motion, shares in (("", (1 / 3, 1 / 3, 1 / 3)), ("_standing", (2 / 3, 1 / 6, 1 / 6))):
         for name, duration in (("continuous_current", 1e5), ("peak_current_20s", 20.0), ("peak_current_300s", 300.0)):
 
@@ -121,8 +121,8 @@ def currents(plant: Plant) -> dict[str, float]:
                 whole[:4, 4] = heat / capacities
                 return float(expm(whole * duration)[:3, 4].max()) - RISE
 
-            found[name + motion] = float(brentq(over, 1.0, 15.0 if duration > 1e3 else 50.0))
-    return found
+            results[name + motion] = float(brentq(over, 1.0, 15.0 if duration > 1e3 else 50.0))
+    return results
 
 
 if __name__ == "__main__":

@@ -54,10 +54,10 @@ class AdcBench:
         self.adc = Ads1115("torque_sensor", "bench", settings, self.port, self.clock)
 
     def rows(self, count, period=0.001):
-        found = []
+        results = []
         for _ in range(100_000):
-            found += self.adc.take()
-            if len(found) >= count:
-                return found
+            results += self.adc.take()
+            if len(results) >= count:
+                return results
             self.clock.sleep_until(self.clock.now() + period)
         raise AssertionError("no rows")

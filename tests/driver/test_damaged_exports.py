@@ -17,9 +17,9 @@ def outcomes(folder, seeds):
         right = export.read(folder)
         for seed in range(seeds):
             kinds, files = mutated(export, seed)
-            found = outcome(export, folder, files, right)
-            counts[found] += 1
-            if found == "wrong":
+            result = outcome(export, folder, files, right)
+            counts[result] += 1
+            if result == "wrong":
                 misread.append(f"{export.name} {seed}: {' and '.join(kinds)}")
     return counts, misread[:10]
 

@@ -411,16 +411,16 @@ def test_a_current_that_the_drive_holds_down_is_told_once(make_bench):
     bench.drive.notices()
     bench.drive.command(5.0)
     bench.cycles(0.5)
-    told = bench.drive.notices()
-    assert len(told) == 1
-    assert re.match(r"the drive holds its current down to CL\[1\], 1 A \(bit 13 of SR 0x", told[0])
+    notices = bench.drive.notices()
+    assert len(notices) == 1
+    assert re.match(r"the drive holds its current down to CL\[1\], 1 A \(bit 13 of SR 0x", notices[0])
 
 
 def test_a_rate_that_the_line_does_not_carry_is_refused_with_the_one_that_it_does(make_bench):
     bench = make_bench()
     bench.drive.open()
-    told = bench.drive.notices()
-    assert re.match(r"a row's readings are taken one after another, within \d(\.\d)? ms after its time", told[0])
+    notices = bench.drive.notices()
+    assert re.match(r"a row's readings are taken one after another, within \d(\.\d)? ms after its time", notices[0])
     bench.drive.pace(0.01)
     with pytest.raises(DeviceError, match=r"takes [45](\.\d+)? ms on its line, a cycle .* leaves .*: 1\d\d Hz at"):
         bench.drive.pace(0.001)
@@ -866,10 +866,10 @@ def test_a_recording_is_saved_as_a_table_that_the_importer_reads(make_serial_dri
     words = "bench", "recording", "drive_test", str(path), "--out", str(target), "--trace", str(trace), "--json"
     done = leactl(*words)
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told == {"file": str(target), "columns": told["columns"], "rows": 50, "interval_s": pytest.approx(1e-4)}
-    assert told["columns"] == ["VX (counts/s)", "PX (counts)", "IQ (A)"]
-    fits_the_page("A recording of a drive", told)
+    answer = json.loads(done.stdout)
+    assert answer == {"file": str(target), "columns": answer["columns"], "rows": 50, "interval_s": pytest.approx(1e-4)}
+    assert answer["columns"] == ["VX (counts/s)", "PX (counts)", "IQ (A)"]
+    fits_the_page("A recording of a drive", answer)
     signals = {
         "speed": {"column": "VX", "quantity": "velocity"},
         "place": {"column": "PX", "quantity": "angle"},

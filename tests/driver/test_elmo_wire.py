@@ -420,24 +420,24 @@ def test_demands_are_never_clipped(bench):
 
 def test_safe_state_is_confirmed_by_the_drive(bench):
     bench.engage(Mode.CURRENT)
-    found = bench.drive.safe_state(bench.drive.settings.sdo_timeout_s)
-    assert found.safe
+    confirmation = bench.drive.safe_state(bench.drive.settings.sdo_timeout_s)
+    assert confirmation.safe
     assert bench.far.follows() == ["off", 0.0]
 
 
 def test_safe_state_reaches_a_drive_that_was_never_opened(make_bench):
     bench = make_bench()
-    found = bench.drive.safe_state(bench.drive.settings.sdo_timeout_s)
-    assert found == (True, "switch on disabled, statusword 0x0240")
+    confirmation = bench.drive.safe_state(bench.drive.settings.sdo_timeout_s)
+    assert confirmation == (True, "switch on disabled, statusword 0x0240")
 
 
 def test_safe_state_says_what_it_could_not_confirm(make_bench):
     bench = make_bench(sdo_timeout_s=0.3)
     bench.far.cut_cable()
     before = bench.clock.now()
-    found = bench.drive.safe_state(0.5)
-    assert not found.safe
-    assert "no SDO answer" in found.detail
+    confirmation = bench.drive.safe_state(0.5)
+    assert not confirmation.safe
+    assert "no SDO answer" in confirmation.detail
     if bench.exact:
         assert bench.clock.now() - before < 0.5 + 0.001
 
@@ -447,8 +447,8 @@ def test_safe_state_wakes_a_node_that_was_told_to_stop(make_bench):
     bench.drive.open()
     bench.engage(Mode.CURRENT)
     bench.far.stop_node()
-    found = bench.drive.safe_state(1.0)
-    assert found.safe
+    confirmation = bench.drive.safe_state(1.0)
+    assert confirmation.safe
     assert bench.far.follows() == ["off", 0.0]
 
 
@@ -561,14 +561,14 @@ def test_a_drive_that_limits_its_demand_is_noticed_once_an_onset(bench):
     bench.cycle()
     bench.cycle()
     assert not bench.drive.notices()
-    found = []
+    results = []
     for most in (500, 50000, 500):
         bench.far.allow(most, most)
         began = bench.clock.now()
         while bench.clock.now() - began < 1.1:
             bench.cycle(period=0.01)
-            found += bench.drive.notices()
-    assert found == ["the drive limits its demand by itself (bit 11 of statusword 0x0E37)"] * 2
+            results += bench.drive.notices()
+    assert results == ["the drive limits its demand by itself (bit 11 of statusword 0x0E37)"] * 2
 
 
 def test_the_bus_voltage_comes_by_sdo_with_its_own_stamps(make_bench):

@@ -569,8 +569,8 @@ def test_a_position_that_is_not_valid_is_missing(moteus_bench):
 def test_a_value_that_no_controller_can_have_is_missing_and_told(moteus_bench, angle, velocity):
     moteus_bench.shaft.angle, moteus_bench.shaft.velocity = angle, velocity
     assert all(math.isnan(value) for value in moteus_bench.cycle()[3:])
-    told = moteus_bench.drive.notices()
-    assert "1 answers could not be used; the last one holds a value that no controller can have" in told
+    notices = moteus_bench.drive.notices()
+    assert "1 answers could not be used; the last one holds a value that no controller can have" in notices
 
 
 def test_bus_voltage_and_temperature_come_at_their_own_pace(moteus_bench):
@@ -597,8 +597,8 @@ def test_a_firmware_that_refuses_a_register_is_told(moteus_bench):
     read = moteus_bench.far._read
     moteus_bench.far._read = lambda register, resolution: None if register == 4 else read(register, resolution)
     assert math.isnan(moteus_bench.cycle()[4])
-    told = moteus_bench.drive.notices()
-    assert any("the last one refuses the registers 0x004 (error 1)" in text for text in told)
+    notices = moteus_bench.drive.notices()
+    assert any("the last one refuses the registers 0x004 (error 1)" in text for text in notices)
 
 
 # -- the emulator's own manners -------------------------------------------------------------------------------------

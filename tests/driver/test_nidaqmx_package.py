@@ -58,12 +58,12 @@ def run(cases, folder):
     )
     assert done.stderr == ""
     answer = json.loads(done.stdout)
-    found = answer["acquired"]
-    for told in found:
+    result = answer["acquired"]
+    for told in result:
         blocks = told.pop("blocks")
         told["time"] = np.array([moment for times, _ in blocks for moment in times])
         told["values"] = np.array([row for _, values in blocks for row in values], float)
-    return found, answer["doctor"]
+    return result, answer["doctor"]
 
 
 @pytest.fixture(scope="module")

@@ -490,9 +490,9 @@ def test_errors_and_changes_of_regulation_are_noticed(bench):
     bench.supply.supply(3.0, 9.0)
     bench.until(lambda rows: rows and rows[-1].values[0] < 3.1)
     bench.rows()
-    found = bench.supply.notices()
-    assert "error -222, Data out of range" in found
-    assert "constant voltage: 3.000 V, 5.000 A" in found
+    notices = bench.supply.notices()
+    assert "error -222, Data out of range" in notices
+    assert "constant voltage: 3.000 V, 5.000 A" in notices
 
 
 # -- answers that go wrong -------------------------------------------------------------------------------------------
@@ -536,8 +536,8 @@ def test_an_answer_that_lost_bytes_is_no_reading(own, answer, question):
     rows = bench.rows(2)
     assert all(row.values == (pytest.approx(5.4), pytest.approx(9.0)) for row in rows)
     (lost,) = [text for text in bench.supply.notices() if text.startswith("a round was lost")]
-    found = f"{question.decode()} was answered by {answer.decode().rstrip()!r}"
-    assert lost == f"a round was lost: {found} where a reading was expected"
+    result = f"{question.decode()} was answered by {answer.decode().rstrip()!r}"
+    assert lost == f"a round was lost: {result} where a reading was expected"
 
 
 @pytest.mark.parametrize(

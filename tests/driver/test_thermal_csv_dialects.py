@@ -89,11 +89,11 @@ def test_nothing_told_gives_the_same_values_or_a_refusal(tmp_path_factory, table
     path = tmp_path_factory.getbasetemp() / "any.csv"
     path.write_bytes(raw)
     try:
-        found = read_back(path, table, unit)
+        result = read_back(path, table, unit)
     except InputError as refused:
         assert all("any.csv" in fault and "\n" not in fault for fault in refused.faults)
     else:
-        np.testing.assert_allclose(found, as_written(table[1], dialect, unit), atol=1e-9)
+        np.testing.assert_allclose(result, as_written(table[1], dialect, unit), atol=1e-9)
 
 
 @settings(max_examples=50)
@@ -106,8 +106,8 @@ def test_everything_told_gives_the_same_values(tmp_path_factory, table, dialect,
     path = tmp_path_factory.getbasetemp() / "told.csv"
     path.write_bytes(raw)
     keys = {"encoding": dialect.encoding, "delimiter": dialect.delimiter, "decimal": dialect.decimal}
-    found = read_back(path, table, unit, **keys, thousands=dialect.thousands)
-    np.testing.assert_allclose(found, as_written(table[1], dialect, unit), atol=1e-9)
+    result = read_back(path, table, unit, **keys, thousands=dialect.thousands)
+    np.testing.assert_allclose(result, as_written(table[1], dialect, unit), atol=1e-9)
 
 
 @settings(max_examples=30)

@@ -58,9 +58,9 @@ class Traced:
         """What the command tells of the trace."""
         self.trace.__exit__()
         done = leactl("driver", "replay", self.path, "--bench", self.bench_path, "--json")
-        told = json.loads(done.stdout)
-        assert (done.returncode, told["difference"]) == (0, None), done.stderr
-        return told
+        answer = json.loads(done.stdout)
+        assert (done.returncode, answer["difference"]) == (0, None), done.stderr
+        return answer
 
     def wires(self):
         return [line for line in read_trace(self.path) if line.kind in "><!"]

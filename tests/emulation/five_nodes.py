@@ -59,8 +59,8 @@ def integrated(
         matrix = blocked if time >= p.phases.blocked_air_from else free
         return (heat - matrix @ rises) / capacitances(p)
 
-    found = solve_ivp(slope, (0.0, times[-1]), np.zeros(5), t_eval=times, rtol=1e-9, atol=1e-9, max_step=0.5)
-    return np.asarray(ambient + found.y.T)
+    result = solve_ivp(slope, (0.0, times[-1]), np.zeros(5), t_eval=times, rtol=1e-9, atol=1e-9, max_step=0.5)
+    return np.asarray(ambient + result.y.T)
 
 
 def _join(matrix: Array, first: int, second: int, conductance: float) -> None:

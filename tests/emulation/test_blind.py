@@ -37,13 +37,13 @@ def short(monkeypatch):
 
 
 def values_of(folder):
-    found = {}
+    results = {}
     for path in sorted(folder.rglob("*.h5")):
         with h5py.File(path) as file:
             for stream in file["streams"]:
                 for name, channel in file["streams"][stream].items():
-                    found[str(path.relative_to(folder)), stream, name] = channel[()]
-    return found
+                    results[str(path.relative_to(folder)), stream, name] = channel[()]
+    return results
 
 
 @pytest.mark.long
@@ -139,10 +139,10 @@ def test_drawn_parameters_lie_in_the_vocabulary_and_grow_with_strength(name):
 
 
 def test_unlisted_effects_are_none_of_the_vocabulary_and_each_does_something():
-    found = unlisted_effects()
-    assert len(found) >= 6
-    assert not set(found) & set(effect_names())
-    for kind in found.values():
+    result = unlisted_effects()
+    assert len(result) >= 6
+    assert not set(result) & set(effect_names())
+    for kind in result.values():
         assert own_hooks(kind.drawn(np.random.default_rng(0), 0.5))
 
 

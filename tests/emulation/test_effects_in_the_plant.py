@@ -82,9 +82,9 @@ def harmonic(angle, values, order):
 def cogging():
     for current in (0.0, 5.0):
         on, off = turning("cogging", {"amplitude": 0.1, "order": 12, "phase": 0.7}, speed=10.0, current=current)
-        found = harmonic(on.angle, on.torque - off.torque, 12)
-        assert abs(found) == pytest.approx(0.1, rel=0.1)
-        assert np.angle(found) == pytest.approx(0.7, abs=0.15)
+        result = harmonic(on.angle, on.torque - off.torque, 12)
+        assert abs(result) == pytest.approx(0.1, rel=0.1)
+        assert np.angle(result) == pytest.approx(0.7, abs=0.15)
 
 
 def torque_ripple():
@@ -99,16 +99,16 @@ def torque_ripple():
 
 def unbalance():
     on, off = turning("unbalance", {"amplitude": 0.2, "phase": -1.0}, speed=12.0)
-    found = harmonic(on.angle, on.torque - off.torque, 1)
-    assert abs(found) == pytest.approx(0.2, rel=0.05)
-    assert np.angle(found) == pytest.approx(-1.0, abs=0.1)
+    result = harmonic(on.angle, on.torque - off.torque, 1)
+    assert abs(result) == pytest.approx(0.2, rel=0.05)
+    assert np.angle(result) == pytest.approx(-1.0, abs=0.1)
 
 
 def gravity_load():
     on, off = turning("gravity_load", {"amplitude": 0.2, "phase": 0.4}, speed=12.0)
-    found = harmonic(on.angle, on.torque - off.torque, 1)
-    assert abs(found) == pytest.approx(0.2, rel=0.05)
-    assert np.angle(found) == pytest.approx(0.4 - 0.5 * np.pi, abs=0.1)  # it pulls by -cos(angle + phase)
+    result = harmonic(on.angle, on.torque - off.torque, 1)
+    assert abs(result) == pytest.approx(0.2, rel=0.05)
+    assert np.angle(result) == pytest.approx(0.4 - 0.5 * np.pi, abs=0.1)  # it pulls by -cos(angle + phase)
 
 
 def position_spring():
@@ -124,9 +124,9 @@ def torque_sensor_crosstalk():
     signals = as_signals(off)
     effect = make_effect("torque_sensor_crosstalk", {"amplitude": 0.2, "phase": 0.5})
     read = Sensors(Lane("coupled", effects=(effect,)), SILENT, 0).loop(signals)["torque"]
-    found = harmonic(off.angle, read - off.torque, 1)
-    assert abs(found) == pytest.approx(0.2, rel=0.02)
-    assert np.angle(found) == pytest.approx(0.5, abs=0.02)
+    result = harmonic(off.angle, read - off.torque, 1)
+    assert abs(result) == pytest.approx(0.2, rel=0.02)
+    assert np.angle(result) == pytest.approx(0.5, abs=0.02)
 
 
 def position_dependent_friction():
@@ -134,9 +134,9 @@ def position_dependent_friction():
         on, off = turning(
             "position_dependent_friction", {"amplitude": 0.3, "order": 3, "phase": 0.0}, speed=speed, seconds=0.8
         )
-        found = harmonic(on.angle, on.torque - off.torque, 3)
-        assert abs(found) == pytest.approx(0.3 * F, rel=0.1)
-        cosine = found.imag  # of the reading: friction takes torque in forward motion
+        result = harmonic(on.angle, on.torque - off.torque, 3)
+        assert abs(result) == pytest.approx(0.3 * F, rel=0.1)
+        cosine = result.imag  # of the reading: friction takes torque in forward motion
         assert cosine * speed < 0.0
 
 

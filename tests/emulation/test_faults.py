@@ -86,10 +86,10 @@ class Bench(EmulatedBench):
 
     def heard(self):
         """Frames that have come in, without any wait."""
-        found = []
+        results = []
         while (message := self.bus.recv(0.0)) is not None:
-            found.append((message.timestamp, message.arbitration_id, bytes(message.data)))
-        return found
+            results.append((message.timestamp, message.arbitration_id, bytes(message.data)))
+        return results
 
     def torque_code(self):
         """One conversion of the torque sensor."""
@@ -489,9 +489,9 @@ def test_the_command_line_refuses_it_with_status_2(write, tmp_path, command):
 def test_the_command_line_lists_and_explains_the_catalogue():
     listed = leactl("bench", "faults")
     assert [line.split()[0] for line in listed.stdout.splitlines()] == sorted(known_faults())
-    told = leactl("bench", "faults", "late_frames").stdout
-    assert "  delay_s " in told
-    assert "    - {fault: late_frames, at_s: 2, " in told
+    output = leactl("bench", "faults", "late_frames").stdout
+    assert "  delay_s " in output
+    assert "    - {fault: late_frames, at_s: 2, " in output
     (row,) = json.loads(leactl("bench", "faults", "bus_off", "--json").stdout)["faults"]
     assert set(row["parameters"]) == {"at_s", "for_s", "bus"}
     unknown = leactl("bench", "faults", "gremlins")

@@ -25,14 +25,14 @@ def protocol(lanes: int, seconds: float, seed: int = 3) -> tuple[np.ndarray, np.
 
 def varied(count: int) -> list[PhaseLane]:
     random = np.random.default_rng(8)
-    found = []
+    results = []
     for k in range(count):
         own = random.uniform(0.7, 1.3, 5)
         thermal = ThermalParameters(5.6 * own[0], 0.3 * own[1], 1.7 * own[2], 22.9 * own[3], 469.1 * own[4])
         phases = PhaseParameters(k * 0.5, 100.0 * (k % 2), 1.0, 1.0 + k % 3, 5.0)
         actuator = replace(LEA, thermal=thermal, phases=phases)
-        found.append(PhaseLane(actuator, ambient_temperature=20.0 + k, friction_heat=k % 4 > 0))
-    return found
+        results.append(PhaseLane(actuator, ambient_temperature=20.0 + k, friction_heat=k % 4 > 0))
+    return results
 
 
 def test_a_lane_does_not_know_its_neighbours():
@@ -59,10 +59,10 @@ def test_a_lane_follows_the_plain_equations(place):
         speed = abs(w[min(int(time / CLOCK), len(i) - 1)])
         return (p.viscous_damping * speed + p.coulomb_friction) * speed if lane.friction_heat else 0.0
 
-    found = PhaseLanes([lane], CLOCK).run(i[:, None], w[:, None])[:, 0]
+    result = PhaseLanes([lane], CLOCK).run(i[:, None], w[:, None])[:, 0]
     times = np.arange(1, 13) * 1.0
     expected = integrated(p, squares, times, friction, lane.ambient_temperature)[:, :3].max(axis=1)
-    np.testing.assert_allclose(found[99::100], expected, atol=0.05)
+    np.testing.assert_allclose(result[99::100], expected, atol=0.05)
 
 
 def test_a_second_run_goes_on_where_the_first_ended():
@@ -97,10 +97,10 @@ def test_blocked_air_acts_from_its_moment_and_settles_at_its_resistance():
     blocked = replace(LEA, phases=PhaseParameters(blocked_air_factor=4.0, blocked_air_from=500.0))
     settles = replace(LEA, thermal=replace(LEA.thermal, housing_ambient_resistance=4.0 * 1.7))
     lanes = PhaseLanes([PhaseLane(LEA), PhaseLane(blocked)], 0.5)
-    found = lanes.run(np.full((60000, 2), 7.0), np.zeros((60000, 2)))
-    np.testing.assert_allclose(found[:1000, 0], found[:1000, 1], rtol=1e-12)
-    assert found[1001, 1] > found[1001, 0]
-    assert found[-1, 1] == pytest.approx(settled(settles, 49.0 * np.array([4.0, 1.0, 1.0]) / 6.0)[0], abs=1e-4)
+    result = lanes.run(np.full((60000, 2), 7.0), np.zeros((60000, 2)))
+    np.testing.assert_allclose(result[:1000, 0], result[:1000, 1], rtol=1e-12)
+    assert result[1001, 1] > result[1001, 0]
+    assert result[-1, 1] == pytest.approx(settled(settles, 49.0 * np.array([4.0, 1.0, 1.0]) / 6.0)[0], abs=1e-4)
 
 
 @pytest.mark.parametrize(

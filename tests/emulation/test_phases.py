@@ -32,9 +32,9 @@ def held(p: ActuatorParameters, squares: np.ndarray, duration: float, step: floa
 def test_mean_squares_are_those_of_the_phase_currents(start, turn):
     theta = start + turn * (np.arange(20000) + 0.5) / 20000
     expected = [(2.0 / 3.0 * 49.0 * np.cos(theta - k * 2.0 * math.pi / 3.0) ** 2).mean() for k in range(3)]
-    found = turning_squares(np.array([49.0]), np.array([start]), np.array([start + turn]))[:, 0]
-    np.testing.assert_allclose(found, expected, atol=1e-4)
-    assert found.sum() == pytest.approx(49.0)
+    result = turning_squares(np.array([49.0]), np.array([start]), np.array([start + turn]))[:, 0]
+    np.testing.assert_allclose(result, expected, atol=1e-4)
+    assert result.sum() == pytest.approx(49.0)
 
 
 def test_half_an_electrical_turn_a_step_is_no_standstill():
@@ -58,9 +58,9 @@ def test_at_rest_it_settles_at_the_closed_form(offset):
 
 
 def test_direct_current_through_two_leads_settles_at_the_closed_form():
-    found = held(LEA, 81.0 * TWO_LEADS, 40000.0, 1.0)
-    np.testing.assert_allclose(found, settled(LEA, 81.0 * TWO_LEADS), atol=1e-6)
-    assert found == pytest.approx([120.52, 120.52, 95.28, 99.04], abs=0.01)  # 9 A, the paper's heating
+    result = held(LEA, 81.0 * TWO_LEADS, 40000.0, 1.0)
+    np.testing.assert_allclose(result, settled(LEA, 81.0 * TWO_LEADS), atol=1e-6)
+    assert result == pytest.approx([120.52, 120.52, 95.28, 99.04], abs=0.01)  # 9 A, the paper's heating
 
 
 @pytest.mark.parametrize("coefficient", [0.0, 0.004])

@@ -114,11 +114,11 @@ def test_a_position_step_agrees_with_an_integrator_of_the_servo_s_equations():
     rig = Rig("free", bench=bench)
     rig.actuators["test"].command("angle", math.pi / 2)
     time, angle = position_step(math.pi / 2, LEA, bench, duration=0.4)
-    found = []
+    results = []
     for at in time[1::20]:
         rig.advance(float(at))
-        found.append(rig.actuators["test"].angle)
-    np.testing.assert_allclose(found, angle[1::20], atol=2e-6 * math.pi)
+        results.append(rig.actuators["test"].angle)
+    np.testing.assert_allclose(results, angle[1::20], atol=2e-6 * math.pi)
 
 
 def test_the_lock_is_beyond_the_torque_sensor():
@@ -300,5 +300,5 @@ def test_transient_agrees_with_an_integrator_of_the_equations():
     expected = solve_ivp(slope, (0, 0.1), start, t_eval=times, rtol=1e-9, atol=1e-12, method="LSODA").y
     for k, after in enumerate(times):
         rig.advance(1.0 + after)
-        found = [rig.state(index) for index in (0, 1, 5, 6, 8, 10)]
-        np.testing.assert_allclose(found, expected[:, k], rtol=2e-5, atol=2e-7)
+        results = [rig.state(index) for index in (0, 1, 5, 6, 8, 10)]
+        np.testing.assert_allclose(results, expected[:, k], rtol=2e-5, atol=2e-7)

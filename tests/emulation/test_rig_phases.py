@@ -62,8 +62,8 @@ def test_rotor_angle_and_offset_choose_the_phase(offset):
         theta = own.pole_pairs * 0.5 * (before + rig.actuators["test"].angle) + offset
         shares = 2.0 / 3.0 * np.cos(theta - np.arange(3) * 2.0 * math.pi / 3.0) ** 2
         beyond += 0.001 * ((shares - 1.0 / 3.0) * 0.264 * 400.0 * 3.0 / 22.9 - decay * beyond)
-    found = rig.hottest_phase("test").present - rig.actuators["test"].winding_temperature
-    assert found == pytest.approx(beyond.max(), rel=0.005)
+    result = rig.hottest_phase("test").present - rig.actuators["test"].winding_temperature
+    assert result == pytest.approx(beyond.max(), rel=0.005)
 
 
 def test_highest_is_kept_while_the_phase_cools():
@@ -134,14 +134,14 @@ def test_rig_and_lanes_are_one_plant():
 
 @pytest.mark.parametrize("step", [0.001, 0.033])
 def test_result_does_not_depend_on_the_step_of_the_host(step):
-    found = []
+    results = []
     for own in (step, 0.0033):
         rig = Rig("coupled", bench=RESOLVED)
         rig.actuators["load"].command("velocity", 2.0)
         rig.actuators["test"].command("current", 25.0)
         run(rig, 3.3, own)
-        found.append(rig.hottest_phase("test"))
-    assert found[0] == pytest.approx(found[1], abs=0.05)
+        results.append(rig.hottest_phase("test"))
+    assert results[0] == pytest.approx(results[1], abs=0.05)
 
 
 def test_friction_warms_the_housing_of_a_turning_rotor():

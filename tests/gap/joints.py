@@ -121,7 +121,7 @@ def channels(joint, log, kind, random, effect=SOUND, seconds=SECONDS):
     ends = PARTS * np.arange(1, count + 1) - 1
     flowing = np.concatenate([[0.0], np.cumsum(current)])
     late = np.maximum(ends + 1 - round(PARTS * log.current_late), PARTS)
-    found = {
+    results = {
         ("q_axis_current", "A"): (flowing[late] - flowing[late - PARTS]) / PARTS
         + 2e-3 * joint.top * random.standard_normal(count),
         ("q_axis_current_reference", "A"): asked if log.before else np.append(asked[1:], asked[-1]),
@@ -142,7 +142,7 @@ def channels(joint, log, kind, random, effect=SOUND, seconds=SECONDS):
             ("mean" if quantity == "q_axis_current" else "instant") if log.sampling else "",
             "loop",
         )
-        for (quantity, units), values in found.items()
+        for (quantity, units), values in results.items()
     ]
 
 

@@ -65,38 +65,38 @@ def weighed(tmp_path_factory):
 
 
 def test_a_feedforward_s_arm_is_told_in_volts(weighed):
-    found = diagnose(case_of(weighed, Model.model_validate(VOLTS)))
-    assert named(found) == ["gravity_load", "unbalance"]
-    assert found.causes[0].indistinguishable_from == ("unbalance",)
-    told = parameters_of(found.causes[0])
+    diagnosis = diagnose(case_of(weighed, Model.model_validate(VOLTS)))
+    assert named(diagnosis) == ["gravity_load", "unbalance"]
+    assert diagnosis.causes[0].indistinguishable_from == ("unbalance",)
+    told = parameters_of(diagnosis.causes[0])
     assert told["amplitude"] == (pytest.approx(0.5, rel=0.02), "V")
     assert told["phase"] == (pytest.approx(0.3, abs=0.02), "rad")
-    fitted = {line.parameter: (line.fitted, line.units) for line in found.calibration}
+    fitted = {line.parameter: (line.fitted, line.units) for line in diagnosis.calibration}
     assert fitted == {
         "feedforward.kS": (pytest.approx(0.15, rel=0.05), "V"),
         "feedforward.kV": (pytest.approx(1.2, rel=0.02), "V*s/rad"),
         "feedforward.kA": (pytest.approx(0.12, rel=0.05), "V*s^2/rad"),
     }
-    (line,) = found.shrinkage
+    (line,) = diagnosis.shrinkage
     assert line.closed > 0.95
-    written = found.extra["augmented"]
+    written = diagnosis.extra["augmented"]
     assert written.feedforward.kV == pytest.approx(1.2, rel=0.02)
     assert [entry.effect for entry in written.effects] == ["gravity_load"]
 
 
 def test_a_winding_s_arm_is_told_in_newton_metres(weighed):
-    found = diagnose(case_of(weighed, Model.model_validate(WINDING)))
-    assert named(found) == ["gravity_load", "unbalance"]
-    assert parameters_of(found.causes[0])["amplitude"] == (pytest.approx(0.625, rel=0.02), "N*m")
+    diagnosis = diagnose(case_of(weighed, Model.model_validate(WINDING)))
+    assert named(diagnosis) == ["gravity_load", "unbalance"]
+    assert parameters_of(diagnosis.causes[0])["amplitude"] == (pytest.approx(0.625, rel=0.02), "N*m")
 
 
 def test_an_arm_that_the_model_has_is_no_cause(weighed):
     mass = 0.625 / 9.80665 / 0.5
     load = {"type": "arm", "mass": mass, "length": 0.5, "zero_angle": 0.3}
     inertia = WINDING["rotor_inertia"] - mass * 0.25
-    found = diagnose(case_of(weighed, Model.model_validate(WINDING | {"load": load, "rotor_inertia": inertia})))
-    assert named(found) == []
-    assert found.verdict in ("none", "calibration")
+    diagnosis = diagnose(case_of(weighed, Model.model_validate(WINDING | {"load": load, "rotor_inertia": inertia})))
+    assert named(diagnosis) == []
+    assert diagnosis.verdict in ("none", "calibration")
 
 
 @pytest.mark.parametrize(
@@ -105,14 +105,14 @@ def test_an_arm_that_the_model_has_is_no_cause(weighed):
 )
 def test_what_else_acts_on_the_rotor_is_named_and_a_sound_arm_is_sound(tmp_path, pull, effect, size):
     arm = Arm(pull=pull) if pull else Arm()
-    found = diagnose(case_of(logs(tmp_path, arm), Model.model_validate(VOLTS)))
-    assert named(found) == ([effect] if effect else [])
+    diagnosis = diagnose(case_of(logs(tmp_path, arm), Model.model_validate(VOLTS)))
+    assert named(diagnosis) == ([effect] if effect else [])
     if effect:
-        value, units = next(iter(parameters_of(found.causes[0]).values()))
+        value, units = next(iter(parameters_of(diagnosis.causes[0]).values()))
         assert value == pytest.approx(size, rel=0.05)
         assert units == {"position_spring": "V/rad", "quadratic_drag": "V*s^2/rad^2"}[effect]
     else:
-        assert found.verdict == "calibration"
+        assert diagnosis.verdict == "calibration"
 
 
 def test_a_replay_of_a_voltage_is_the_run(tmp_path):
@@ -161,24 +161,24 @@ def test_a_turned_voltage_is_the_set_up_s_fault(weighed):
         )
         for record in weighed
     ]
-    found = diagnose(case_of(turned, Model.model_validate(VOLTS)))
-    assert named(found) == ["channel_sign", "gravity_load", "unbalance"]
-    assert "q_axis_voltage" in found.causes[0].change
+    diagnosis = diagnose(case_of(turned, Model.model_validate(VOLTS)))
+    assert named(diagnosis) == ["channel_sign", "gravity_load", "unbalance"]
+    assert "q_axis_voltage" in diagnosis.causes[0].change
 
 
 @pytest.mark.long
 def test_where_the_arm_makes_whole_turns_an_unbalance_stands_first(tmp_path):
     records = logs(tmp_path, Arm(pull=weight), span=8.0, start=-4.0)
-    found = diagnose(case_of(records, Model.model_validate(VOLTS)))
-    assert named(found) == ["unbalance", "gravity_load"]
+    diagnosis = diagnose(case_of(records, Model.model_validate(VOLTS)))
+    assert named(diagnosis) == ["unbalance", "gravity_load"]
 
 
 def test_a_geared_motor_s_unbalance_is_another_thing(tmp_path):
     records = logs(tmp_path, Arm(pull=lambda angle, speed: -0.4 * np.sin(4.3 * angle + 0.5)))
-    found = diagnose(case_of(records, Model.model_validate(VOLTS | {"gear_ratio": 4.3})))
-    assert named(found)[0] == "unbalance"
-    assert "gravity_load" not in named(found)
-    assert parameters_of(found.causes[0])["phase"][0] == pytest.approx(0.5, abs=0.05)
+    diagnosis = diagnose(case_of(records, Model.model_validate(VOLTS | {"gear_ratio": 4.3})))
+    assert named(diagnosis)[0] == "unbalance"
+    assert "gravity_load" not in named(diagnosis)
+    assert parameters_of(diagnosis.causes[0])["phase"][0] == pytest.approx(0.5, abs=0.05)
 
 
 def test_ramps_and_steps_of_one_name_are_no_runs_of_a_kind(weighed):
@@ -206,12 +206,12 @@ def arm_logs():
 def runs_of(log, folder):
     """The four tests of a log as runs, by the mapping file."""
     rows, text = json.loads(log.read_text()), (FILES / "frc_arms_map.yaml").read_text()
-    found = []
+    results = []
     for test in TESTS:
         mapping = folder / f"{test}.yaml"
         mapping.write_text(text.replace("TEST", test).replace("ROWS", str(len(rows[test]))))
-        found += import_runs([str(log)], mapping, folder)
-    return found
+        results += import_runs([str(log)], mapping, folder)
+    return results
 
 
 def feedforward_of(runs):
@@ -260,8 +260,8 @@ def test_a_real_arm_s_weight_is_named_first_as_published(tmp_path, name, fit):
     model = tmp_path / "model.yaml"
     model.write_text(f"name: {name}\nfeedforward: {{kS: {kS:.6g}, kV: {kV:.6g}, kA: {kA:.6g}}}\n")
     held_out = [run for index, run in enumerate(runs) if index not in fit]
-    found = diagnose(read_case([runs[index] for index in fit], held_out, model))
-    machine = [cause for cause in found.causes if cause.effect != "velocity_filter_lag"]
+    diagnosis = diagnose(read_case([runs[index] for index in fit], held_out, model))
+    machine = [cause for cause in diagnosis.causes if cause.effect != "velocity_filter_lag"]
     first = machine[0]
     assert first.effect == "gravity_load"
     assert first.probability > 0.9
@@ -269,4 +269,4 @@ def test_a_real_arm_s_weight_is_named_first_as_published(tmp_path, name, fit):
     assert units == "V"
     assert amplitude == pytest.approx(PUBLISHED[name], rel=0.1)
     if fit == SPLITS[0]:  # two of the other splits tell friction over the angle as well, which loaded gears may have
-        assert set(named(found)) <= {"gravity_load", "unbalance", "velocity_filter_lag"}
+        assert set(named(diagnosis)) <= {"gravity_load", "unbalance", "velocity_filter_lag"}

@@ -42,11 +42,11 @@ def ramps(means=False, off=OFF_A, seed=1):
 def test_it_is_taken_for_what_it_is_and_leaves_drag_and_friction_alone():
     evidence = Evidence([ramps()], model())
     fit = evidence.settle([])
-    found = {evidence.stack.names[place]: value for place, value in zip(fit.columns, fit.values, strict=True)}
-    [off] = [value for name, value in found.items() if name[-1] == "between_instants_A"]
+    results = {evidence.stack.names[place]: value for place, value in zip(fit.columns, fit.values, strict=True)}
+    [off] = [value for name, value in results.items() if name[-1] == "between_instants_A"]
     assert abs(off) == pytest.approx(OFF_A, rel=0.3)
-    assert abs(found["calibration", "viscous_damping"]) < 0.01
-    assert abs(found["calibration", "coulomb_friction"]) < 0.005
+    assert abs(results["calibration", "viscous_damping"]) < 0.01
+    assert abs(results["calibration", "coulomb_friction"]) < 0.005
 
 
 def test_means_leave_nothing_between_them():
@@ -56,6 +56,6 @@ def test_means_leave_nothing_between_them():
 
 def test_nothing_is_named_for_it():
     fitted, held_out = ramps(seed=2), ramps(seed=3)
-    found = diagnose(Case(model(), [fitted], [held_out]))
-    assert found.verdict in ("none", "calibration")
-    assert all(cause.probability < 0.5 for cause in found.causes)
+    diagnosis = diagnose(Case(model(), [fitted], [held_out]))
+    assert diagnosis.verdict in ("none", "calibration")
+    assert all(cause.probability < 0.5 for cause in diagnosis.causes)

@@ -56,8 +56,8 @@ def test_an_interval_counts_a_stretch_of_like_rows_once():
     held = 0
     for _ in range(300):
         values = np.repeat(RANDOM.standard_normal(40), 100)
-        found = means(values, place, np.arange(4000) // 100, 1)
-        held += found.off_zero == 0
+        result = means(values, place, np.arange(4000) // 100, 1)
+        held += result.off_zero == 0
     assert 0.9 < held / 300 < 0.99
     alone = means(values, place, np.zeros(4000, np.intp), 1)
     assert np.isnan(alone.low[0]) and np.isfinite(alone.mean[0])

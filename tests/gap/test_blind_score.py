@@ -54,15 +54,15 @@ def sets_of(folder):
 @pytest.mark.long
 def test_both_cases_are_named_and_their_gap_is_closed(scored):
     assert scored.exit_code == 0, scored.output
-    found = json.loads(scored.stdout)
-    assert found["format"] == "leactl-gap-score"
-    shares = {line["question"]: (line["count"], line["total"]) for line in found["shares"]}
+    answer = json.loads(scored.stdout)
+    assert answer["format"] == "leactl-gap-score"
+    shares = {line["question"]: (line["count"], line["total"]) for line in answer["shares"]}
     assert shares["one effect, plain or strong: first cause right"] == (2, 2)
     assert shares["one effect, any: in the reported set"] == (2, 2)
     assert shares["share closed within 0.08 of an oracle that is told the effect"] == (2, 2)
     assert shares["two effects: both named"] == (0, 0)
-    assert found["mean_set_size"] == 1.0
-    assert not any("first cause" in miss["question"] for miss in found["misses"])
+    assert answer["mean_set_size"] == 1.0
+    assert not any("first cause" in miss["question"] for miss in answer["misses"])
 
 
 @pytest.mark.long
@@ -215,15 +215,15 @@ UNMEASURED = {"moved": [], "oracle": []}
 
 def test_a_class_counts_as_reported_but_its_first_alone_as_first():
     answer = answer_of(("time_skew", 0.6, ["torque_sensor_lag"]), ("torque_sensor_lag", 0.4, []))
-    found = mark("c", truth_of("torque_sensor_lag"), answer, UNMEASURED)
-    assert found.reported == ("time_skew", "torque_sensor_lag")
-    assert (found.first_right, found.in_set, found.all_named) == (False, True, True)
+    result = mark("c", truth_of("torque_sensor_lag"), answer, UNMEASURED)
+    assert result.reported == ("time_skew", "torque_sensor_lag")
+    assert (result.first_right, result.in_set, result.all_named) == (False, True, True)
 
 
 def test_a_pair_is_named_only_with_both():
     answer = answer_of(("cogging", 0.99, []), ("unbalance", 0.3, []))
-    found = mark("c", truth_of("cogging", "unbalance", kind="pair"), answer, UNMEASURED)
-    assert (found.first_right, found.all_named) == (True, False)
+    result = mark("c", truth_of("cogging", "unbalance", kind="pair"), answer, UNMEASURED)
+    assert (result.first_right, result.all_named) == (True, False)
 
 
 def test_an_unknown_is_owned_up_to_without_a_cause_only():
@@ -258,8 +258,8 @@ def test_shares_closed_have_the_oracles_gap_and_floor_in_common():
         "oracle": [line("torque", calibrated_rms=1.1, augmented_rms=0.1, floor_rms=0.1)],
     }
     answer = answer_of(shrinkage=[line("torque", augmented_rms=0.6)])
-    found = mark("c", truth_of("unbalance"), answer, told)
-    assert (found.closed, found.oracle_closed) == (pytest.approx(0.5), pytest.approx(1.0))
+    result = mark("c", truth_of("unbalance"), answer, told)
+    assert (result.closed, result.oracle_closed) == (pytest.approx(0.5), pytest.approx(1.0))
 
 
 def test_departures_leave_out_what_has_no_one_truth():
@@ -269,8 +269,8 @@ def test_departures_leave_out_what_has_no_one_truth():
         {"parameter": "bench.shaft_stiffness", "fitted": 1.0, "std": 0.5},
     ]
     base = {"rotor_inertia": 1.0, "back_emf_constant": 1.0, "bench.shaft_stiffness": 1.0}
-    found = mark("c", truth_of("shaft_compliance", base=base), answer_of(parameters=parameters), UNMEASURED)
-    assert found.departures == (Departure("rotor_inertia", 2.0),)
+    result = mark("c", truth_of("shaft_compliance", base=base), answer_of(parameters=parameters), UNMEASURED)
+    assert result.departures == (Departure("rotor_inertia", 2.0),)
 
 
 def test_wilson_interval_of_known_figures():
@@ -291,16 +291,16 @@ def marks_of(stated, right):
 def test_sound_probabilities_have_no_calibration_error_and_the_skill_of_their_spread():
     random = np.random.default_rng(0)
     stated = np.repeat([0.05, 0.95], 5000)
-    found = calibration(marks_of(stated, random.random(10_000) < stated))
-    assert found.error < 0.01
-    assert found.skill == pytest.approx(1 - 0.05 * 0.95 / 0.25, abs=0.02)
-    assert [(b.low, b.count) for b in found.bins] == [(0.0, 5000), (0.9, 5000)]
+    result = calibration(marks_of(stated, random.random(10_000) < stated))
+    assert result.error < 0.01
+    assert result.skill == pytest.approx(1 - 0.05 * 0.95 / 0.25, abs=0.02)
+    assert [(b.low, b.count) for b in result.bins] == [(0.0, 5000), (0.9, 5000)]
 
 
 def test_proud_probabilities_are_shown_up():
-    found = calibration(marks_of([1.0] * 10, [True] * 6 + [False] * 4))
-    assert found.error == pytest.approx(0.4)
-    assert found.skill < 0
+    result = calibration(marks_of([1.0] * 10, [True] * 6 + [False] * 4))
+    assert result.error == pytest.approx(0.4)
+    assert result.skill < 0
 
 
 def test_every_miss_is_listed_with_what_was_said():
@@ -313,9 +313,9 @@ def test_every_miss_is_listed_with_what_was_said():
 def test_effects_that_no_record_tells_apart_count_as_one_and_others_do_not():
     truth = replace(truth_of("asymmetric_friction"), alike={"asymmetric_friction": ["current_sensor_offset"]})
     given = answer_of(("current_sensor_offset", 0.9, []), ("asymmetric_friction", 0.9, []))
-    found = mark("c", truth, given, UNMEASURED)
-    assert (found.first_right, found.in_set, found.all_named) == (True, True, True)
-    assert not found.names_what_is_not_there
+    result = mark("c", truth, given, UNMEASURED)
+    assert (result.first_right, result.in_set, result.all_named) == (True, True, True)
+    assert not result.names_what_is_not_there
     further = answer_of(("asymmetric_friction", 0.9, []), ("cogging", 0.6, []))
     assert mark("c", truth, further, UNMEASURED).names_what_is_not_there
 
@@ -328,11 +328,11 @@ def test_a_gap_that_grew_is_told_where_something_was_named_or_recalibrated():
     parameters = [{"parameter": "rotor_inertia", "fitted": 2.0, "std": 0.5}]
     lines = [gap(1.0, 2.0, 3.0), gap(1.0, 0.5, 0.1)]
     given = answer_of(("cogging", 0.9, []), shrinkage=lines, parameters=parameters)
-    found = mark("c", truth_of("cogging"), given, UNMEASURED)
-    assert (found.effect_closes, found.calibration_closes) == (False, False)
+    result = mark("c", truth_of("cogging"), given, UNMEASURED)
+    assert (result.effect_closes, result.calibration_closes) == (False, False)
     better = answer_of(("cogging", 0.9, []), shrinkage=[gap(2.0, 1.0, 0.2)], parameters=parameters)
-    found = mark("c", truth_of("cogging"), better, UNMEASURED)
-    assert (found.effect_closes, found.calibration_closes) == (True, True)
+    result = mark("c", truth_of("cogging"), better, UNMEASURED)
+    assert (result.effect_closes, result.calibration_closes) == (True, True)
     quiet = mark("c", truth_of("cogging"), answer_of(shrinkage=lines), UNMEASURED)
     assert (quiet.effect_closes, quiet.calibration_closes) == (None, None)
 
@@ -340,12 +340,12 @@ def test_a_gap_that_grew_is_told_where_something_was_named_or_recalibrated():
 def test_groups_show_each_machine_and_simulator_and_targets_follow_what_was_drawn():
     answer = answer_of(("cogging", 0.9, []))
     truths = [replace(truth_of("cogging"), machine=name, simulator="stepped") for name in ("spindle 1", "wheel 2")]
-    found = score([mark(f"case-{k}", truth, answer, UNMEASURED) for k, truth in enumerate(truths)])
-    assert {(group.by, group.name, group.cases) for group in found.groups} == {
+    result = score([mark(f"case-{k}", truth, answer, UNMEASURED) for k, truth in enumerate(truths)])
+    assert {(group.by, group.name, group.cases) for group in result.groups} == {
         ("machine", "spindle 1", 1),
         ("machine", "wheel 2", 1),
     }
-    assert found.shares[0].target == ">= 95 %"
+    assert result.shares[0].target == ">= 95 %"
     assert score([mark("c", truth_of("cogging"), answer, UNMEASURED)]).shares[0].target == ">= 98 %"
 
 
@@ -354,10 +354,10 @@ def test_a_report_cannot_take_the_place_of_the_answers(tmp_path, monkeypatch):
     (tmp_path / "cases").mkdir()
     (tmp_path / "cases" / HASH_NAME).write_text("0\n")
     asked = ["gap", "blind", "score", "--cases", "cases", "--key", "key", "--out", "cases-answers"]
-    told = CliRunner().invoke(app, asked)
-    assert isinstance(told.exception, InputError)
+    completed = CliRunner().invoke(app, asked)
+    assert isinstance(completed.exception, InputError)
     assert (
-        str(told.exception)
+        str(completed.exception)
         == "--out cases-answers: is the folder that the answers go to; the name of a file was expected"
     )
 
@@ -373,5 +373,5 @@ def test_parameters_are_compared_as_ratios_where_no_run_tells_a_torque():
         {"parameter": "rotor_inertia", "fitted": 3.0, "std": 0.5},
     ]
     truth = truth_of("cogging", base={"torque_constant": 2.0, "rotor_inertia": 4.0})
-    found = mark("c", replace(truth, ratios_to="torque_constant"), answer_of(parameters=parameters), UNMEASURED)
-    assert found.departures == (Departure("rotor_inertia", 2.0),)
+    result = mark("c", replace(truth, ratios_to="torque_constant"), answer_of(parameters=parameters), UNMEASURED)
+    assert result.departures == (Departure("rotor_inertia", 2.0),)

@@ -58,10 +58,10 @@ def folders(made):
 
 
 def test_nothing_but_wrong_parameters_is_called_calibration(sound_bench):
-    found = answer(sound_bench)
-    assert found.verdict == "calibration"
-    assert not found.causes
-    assert found.unexplained_probability < 0.2
+    result = answer(sound_bench)
+    assert result.verdict == "calibration"
+    assert not result.causes
+    assert result.unexplained_probability < 0.2
 
 
 TOO_FEW = pytest.mark.xfail(
@@ -104,16 +104,16 @@ def test_each_effect_of_the_emulated_bench_is_named_first_and_its_gap_closed(wit
 
 
 def is_named_first(folder, name):
-    found = answer(folder)
-    first = found.causes[0]
-    assert found.verdict == "effect"
+    result = answer(folder)
+    first = result.causes[0]
+    assert result.verdict == "effect"
     assert name in (first.effect, *first.indistinguishable_from)
     assert first.probability > 0.5
-    for cause in found.causes:
+    for cause in result.causes:
         if cause.probability > 0.5:  # what cannot be told from the first has a picture of its own
             pictures_what_it_explains(cause)
     if name not in HIDDEN:
-        assert max(line.closed for line in found.shrinkage if line.closed is not None) > 0.5
+        assert max(line.closed for line in result.shrinkage if line.closed is not None) > 0.5
 
 
 def pictures_what_it_explains(cause):
@@ -139,12 +139,12 @@ def test_each_of_what_no_effect_explains_is_owned_up_to(every_unlisted, name):
 
 
 def is_owned_up_to(folder, name=""):
-    found = answer(folder)
-    assert found.verdict == "unknown"
-    assert all(cause.probability < 0.5 for cause in found.causes)
-    assert any(note.startswith("unexplained: ") for note in found.notes)
-    rest = found.unexplained
-    assert not {near.effect for near in rest.nearest} & {c.effect for c in found.causes if c.probability >= 0.5}
+    result = answer(folder)
+    assert result.verdict == "unknown"
+    assert all(cause.probability < 0.5 for cause in result.causes)
+    assert any(note.startswith("unexplained: ") for note in result.notes)
+    rest = result.unexplained
+    assert not {near.effect for near in rest.nearest} & {c.effect for c in result.causes if c.probability >= 0.5}
     assert all(near.refused_because for near in rest.nearest)
     if name in DEPENDS:
         assert set(rest.depends_on) == DEPENDS[name]
@@ -197,19 +197,19 @@ def test_kinds_that_occur_twice_are_held_out(sound_bench):
 
 def test_free_runs_alone_say_what_they_cannot_show(sound_bench):
     folder = sound_bench
-    found = diagnose(read_case(sorted(folder.glob("free*.h5")), [], model(folder)))
-    hidden = next(note for note in found.notes if note.startswith("invisible"))
+    diagnosis = diagnose(read_case(sorted(folder.glob("free*.h5")), [], model(folder)))
+    hidden = next(note for note in diagnosis.notes if note.startswith("invisible"))
     for effect in ("torque_sensor_gain", "backlash", "load_dependent_friction"):
         assert effect in hidden
-    assert any("torque sensor" in note for note in found.notes)
+    assert any("torque sensor" in note for note in diagnosis.notes)
 
 
 @pytest.mark.long
 @pytest.mark.skipif(not PRACTICE.is_dir(), reason="the practice cases are not beside this checkout")
 def test_a_bench_of_another_simulator_with_wrong_parameters_only_gets_no_cause():
-    found = answer(PRACTICE / "practice-1")
-    assert found.verdict == "calibration"
-    assert not [cause for cause in found.causes if cause.probability >= 0.5]
+    result = answer(PRACTICE / "practice-1")
+    assert result.verdict == "calibration"
+    assert not [cause for cause in result.causes if cause.probability >= 0.5]
 
 
 def channel(quantity, values, role="test"):
@@ -252,10 +252,10 @@ def test_where_no_kind_of_run_occurs_twice_stretches_are_held_out():
 def test_a_bench_with_one_run_of_each_kind_is_diagnosed_all_the_same(sound_bench):
     folder = sound_bench
     runs = sorted({path.name.rsplit("-", 1)[0]: path for path in folder.glob("*.h5")}.values())
-    found = diagnose(read_case(runs, [], model(folder)))
-    assert not [cause for cause in found.causes if cause.probability >= 0.5]
-    assert any("held out are two sixteenths" in note for note in found.notes)
-    turning = [line for line in found.shrinkage if line.mechanical == "free"]
+    diagnosis = diagnose(read_case(runs, [], model(folder)))
+    assert not [cause for cause in diagnosis.causes if cause.probability >= 0.5]
+    assert any("held out are two sixteenths" in note for note in diagnosis.notes)
+    turning = [line for line in diagnosis.shrinkage if line.mechanical == "free"]
     assert len(turning) >= 3
     for line in turning:
         assert line.calibrated_rms < 1.5 * line.floor_rms, line

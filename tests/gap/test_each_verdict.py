@@ -46,8 +46,8 @@ def test_each_verdict_is_reached(cases, verdict, effects):
     folder = cases / verdict
     done = leactl("gap", "diagnose", *sorted(folder.glob("*.h5")), "--model", folder / "nominal.yaml", "--json")
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert found["verdict"] == verdict, found["notes"]
-    assert [cause["effect"] for cause in found["causes"] if cause["probability"] >= 0.5] == (
+    answer = json.loads(done.stdout)
+    assert answer["verdict"] == verdict, answer["notes"]
+    assert [cause["effect"] for cause in answer["causes"] if cause["probability"] >= 0.5] == (
         effects if verdict == "effect" else []
     )

@@ -65,21 +65,21 @@ def leactl(package, *arguments):
 
 
 def test_an_effect_of_another_package_is_one_of_the_library(package):
-    said = leactl(package, "gap", "effects", "sea_wind", "--json")
-    assert said.returncode == 0, said.stderr
-    assert json.loads(said.stdout)["parameters"][0]["name"] == "torque"
+    completed = leactl(package, "gap", "effects", "sea_wind", "--json")
+    assert completed.returncode == 0, completed.stderr
+    assert json.loads(completed.stdout)["parameters"][0]["name"] == "torque"
 
 
 def test_a_definition_that_is_missing_is_named(package):
     (package / "windy" / "sea_wind.yaml").unlink()
-    said = leactl(package, "gap", "effects", "sea_wind")
-    assert said.returncode == 2
-    assert "sea_wind.yaml" in said.stderr
-    assert "Traceback" not in said.stderr
+    completed = leactl(package, "gap", "effects", "sea_wind")
+    assert completed.returncode == 2
+    assert "sea_wind.yaml" in completed.stderr
+    assert "Traceback" not in completed.stderr
 
 
 def test_a_form_that_is_missing_is_named(package):
     (package / "windy" / "sea_wind.py").write_text("")
-    said = leactl(package, "gap", "effects", "sea_wind")
-    assert said.returncode == 2
-    assert "windy.sea_wind: no class of effect sea_wind is there" in said.stderr
+    completed = leactl(package, "gap", "effects", "sea_wind")
+    assert completed.returncode == 2
+    assert "windy.sea_wind: no class of effect sea_wind is there" in completed.stderr

@@ -27,8 +27,8 @@ def everything(values):
 
 def test_a_network_of_other_parameters_is_followed_and_its_noise_is_not(measured):
     noisy = measured + np.random.default_rng(3).normal(0.0, 0.15, measured.shape)
-    found = fitted_temperatures(NOMINAL, 1.0, HEAT, AMBIENT, noisy, everything(noisy))
-    assert np.sqrt(np.mean((found - measured) ** 2)) < 0.03
+    result = fitted_temperatures(NOMINAL, 1.0, HEAT, AMBIENT, noisy, everything(noisy))
+    assert np.sqrt(np.mean((result - measured) ** 2)) < 0.03
 
 
 def test_samples_that_were_not_measured_do_not_count(measured):
@@ -41,5 +41,5 @@ def test_samples_that_were_not_measured_do_not_count(measured):
 
 @pytest.mark.parametrize("share", [0.0, 1e-3, -1.0])
 def test_a_heat_that_cannot_be_ends_in_finite_temperatures(measured, share):
-    found = fitted_temperatures(NOMINAL, 1.0, share * HEAT, AMBIENT, measured, everything(measured))
-    assert np.isfinite(found).all()
+    result = fitted_temperatures(NOMINAL, 1.0, share * HEAT, AMBIENT, measured, everything(measured))
+    assert np.isfinite(result).all()

@@ -74,13 +74,15 @@ def test_emps_has_its_published_parameters(tmp_path):
 
 def test_emps_is_diagnosed_with_its_offset_as_one_class(tmp_path):
     (file,) = imported("emps", "*.mat", tmp_path)
-    found = diagnose(read_case([file], [], FILES / "emps_model.yaml"))
-    assert [c.effect for c in found.causes if c.probability > 0.5 and not c.indistinguishable_from] == []
-    assert {c.effect for c in found.causes} == {"asymmetric_friction", "current_sensor_offset"}
-    assert {found.causes[0].effect, *found.causes[0].indistinguishable_from} == {c.effect for c in found.causes}
-    offset = next(c for c in found.causes if c.effect == "current_sensor_offset").parameters[0]
+    diagnosis = diagnose(read_case([file], [], FILES / "emps_model.yaml"))
+    assert [c.effect for c in diagnosis.causes if c.probability > 0.5 and not c.indistinguishable_from] == []
+    assert {c.effect for c in diagnosis.causes} == {"asymmetric_friction", "current_sensor_offset"}
+    assert {diagnosis.causes[0].effect, *diagnosis.causes[0].indistinguishable_from} == {
+        c.effect for c in diagnosis.causes
+    }
+    offset = next(c for c in diagnosis.causes if c.effect == "current_sensor_offset").parameters[0]
     assert offset.value == pytest.approx(-3.1648, abs=0.4)
-    relative = {line.parameter: line.fitted / line.nominal - 1.0 for line in found.calibration}
+    relative = {line.parameter: line.fitted / line.nominal - 1.0 for line in diagnosis.calibration}
     assert abs(relative["rotor_inertia"]) < 0.01
     (equation,) = equations(read_record(file), nominal("emps"))
     columns = equation.calibration | {"offset": np.ones_like(equation.left_over)}
@@ -148,10 +150,10 @@ def test_xl330_free_runs_at_a_gain_left_out(tmp_path):
     for gain in sorted({record.setup["drive_gain"] for record in records}):
         others = [record for record in records if record.setup["drive_gain"] != gain]
         left_out = [record for record in records if record.setup["drive_gain"] == gain]
-        found = fit_effect_sets(others, left_out, model, [])
-        tried = (found.calibrated, found.augmented)
+        result = fit_effect_sets(others, left_out, model, [])
+        tried = (result.calibrated, result.augmented)
         errors.append([mean_absolute_error(servo_runs(left_out, model), one.parameters) for one in tried])
-        standing.append({item.effect for item in found.standing if item.probability > 0.5})
+        standing.append({item.effect for item in result.standing if item.probability > 0.5})
     calibrated, augmented = np.mean(errors, axis=0)
     assert augmented <= 0.040
     assert augmented < 0.65 * calibrated
@@ -161,13 +163,13 @@ def test_xl330_free_runs_at_a_gain_left_out(tmp_path):
 @pytest.mark.long
 def test_xl330_friction_falls_with_speed_where_it_grows_with_load(tmp_path):
     records = [read_record(file) for file in imported("bam_xl330", "processed/*.json", tmp_path)]
-    found = fit_effect_sets(records, [], nominal("bam_xl330"), [("position_dependent_friction", (7.0,))])
-    assert {item.effect: item.probability > 0.9 for item in found.standing} == {
+    result = fit_effect_sets(records, [], nominal("bam_xl330"), [("position_dependent_friction", (7.0,))])
+    assert {item.effect: item.probability > 0.9 for item in result.standing} == {
         "load_dependent_friction": True,
         "saturation": True,
         "stribeck": True,
     }
-    together = found.sets[frozenset({"load_dependent_friction", "saturation"})].cost / found.augmented.cost
-    alone = found.sets[frozenset()].cost / found.sets[frozenset({"stribeck"})].cost
+    together = result.sets[frozenset({"load_dependent_friction", "saturation"})].cost / result.augmented.cost
+    alone = result.sets[frozenset()].cost / result.sets[frozenset({"stribeck"})].cost
     assert together > 1.3
     assert alone < 1.05  # Stribeck friction by itself gains nothing

@@ -73,10 +73,10 @@ def test_a_simulated_run_has_the_channels_and_clocks_of_the_measured_one(run, mo
     out = tmp_path / "simulated.h5"
     answer = leactl("gap", "simulate", model_file, run, "--out", out, "--json")
     assert answer.returncode == 0, answer.stderr
-    said = json.loads(answer.stdout)
-    assert said["run"] == str(out)
-    assert "torque of test" in said["simulated"]
-    assert said["left_out"] == ["d_axis_current of test"]
+    document = json.loads(answer.stdout)
+    assert document["run"] == str(out)
+    assert "torque of test" in document["simulated"]
+    assert document["left_out"] == ["d_axis_current of test"]
     with Run.open(run) as before, Run.open(out) as after:
         assert after.attributes["simulated"] == 1
         assert after.mechanical == "locked"
@@ -171,12 +171,12 @@ def test_compare_measures_each_channel(run, model_file, tmp_path):
     assert leactl("gap", "simulate", model_file, run, "--out", out).returncode == 0
     answer = leactl("gap", "compare", run, out, "--json")
     assert answer.returncode == 0, answer.stderr
-    found = {one["quantity"]: one for one in json.loads(answer.stdout)["channels"]}
-    assert found["q_axis_current_reference"]["rms"] == 0.0
-    assert found["q_axis_current_reference"]["correlation"] == pytest.approx(1.0)
-    assert found["torque"]["units"] == "N*m"
-    assert 0.0 < found["torque"]["rms"] < 0.5
-    assert found["torque"]["lag_s"] == pytest.approx(0.0, abs=0.005)
+    results = {one["quantity"]: one for one in json.loads(answer.stdout)["channels"]}
+    assert results["q_axis_current_reference"]["rms"] == 0.0
+    assert results["q_axis_current_reference"]["correlation"] == pytest.approx(1.0)
+    assert results["torque"]["units"] == "N*m"
+    assert 0.0 < results["torque"]["rms"] < 0.5
+    assert results["torque"]["lag_s"] == pytest.approx(0.0, abs=0.005)
     text = leactl("gap", "compare", run, out)
     assert text.returncode == 0
     assert "test torque" in text.stdout
@@ -191,8 +191,8 @@ def test_a_lag_is_found(tmp_path):
         writer.append("loop", time, np.sin(20 * (time - late) ** 2)[:, None])
         writer.close("complete")
         paths.append(writer.path)
-    found = json.loads(leactl("gap", "compare", *paths, "--json").stdout)["channels"][0]
-    assert found["lag_s"] == pytest.approx(0.02)
+    result = json.loads(leactl("gap", "compare", *paths, "--json").stdout)["channels"][0]
+    assert result["lag_s"] == pytest.approx(0.02)
 
 
 def test_runs_without_a_channel_in_common_are_one_clear_line(run, tmp_path):
@@ -249,10 +249,10 @@ def test_json_of_a_diagnosis_goes_to_stdout_or_to_a_file(run, model_file, tmp_pa
     written_to_file = leactl(*fixed, run, "--json", out)
     assert written_to_file.returncode == 0, written_to_file.stderr
     assert "verdict" in written_to_file.stdout
-    said = json.loads(out.read_text())
+    answer = json.loads(out.read_text())
     for words in ((*fixed, run, "--json"), (*fixed, "--json", run), (*fixed[:2], run, "--json", *fixed[2:])):
-        assert json.loads(leactl(*words).stdout) == said
-    assert json.loads(leactl(*fixed, run, "--json", "-").stdout) == said
+        assert json.loads(leactl(*words).stdout) == answer
+    assert json.loads(leactl(*fixed, run, "--json", "-").stdout) == answer
 
 
 def test_a_held_out_run_of_another_condition_is_noted(run, model_file, tmp_path):

@@ -133,18 +133,20 @@ def named(found):
 def test_a_limit_of_the_current_is_no_end_of_the_voltage(tmp_path, kind, seed):
     machine, runs = drawn(kind, ["torque_limit"], seed, "plain", {})
     write_cases(tmp_path, {"limited": (machine, runs)})
-    found = diagnose(case_of(tmp_path / "limited"))
-    assert named(found) == ["torque_limit"], "a voltage that ends far above every speed of the runs cuts off alike"
-    assert found.causes[0].parameters[0].value == pytest.approx(runs[0].parameter("torque_limit", "current"), rel=0.01)
+    diagnosis = diagnose(case_of(tmp_path / "limited"))
+    assert named(diagnosis) == ["torque_limit"], "a voltage that ends far above every speed of the runs cuts off alike"
+    assert diagnosis.causes[0].parameters[0].value == pytest.approx(
+        runs[0].parameter("torque_limit", "current"), rel=0.01
+    )
 
 
 @pytest.mark.parametrize(("name", "kind"), often({f"{name} of {kind}": (name, kind) for name, kind in JOINTS}))
 def test_what_a_joint_has_is_named_with_its_size(drawn_case, name, kind):
     case, run = drawn_case(f"{name} of {kind}")
-    found = diagnose(case)
-    assert named(found) == [name]
+    diagnosis = diagnose(case)
+    assert named(diagnosis) == [name]
     parameter, near = NUMBERS[name]
-    told = {item.name: item for item in found.causes[0].parameters}
+    told = {item.name: item for item in diagnosis.causes[0].parameters}
     assert told[parameter].value == pytest.approx(run.parameter(name, parameter), rel=near)
     assert told[parameter].std > 0.0
 
@@ -152,18 +154,18 @@ def test_what_a_joint_has_is_named_with_its_size(drawn_case, name, kind):
 @pytest.mark.parametrize("kind", often({f"quick {kind}": (kind,) for kind in QUICK}))
 def test_friction_that_builds_up_over_an_angle_shows_where_a_reversal_is_over_within_a_row(drawn_case, kind):
     case, run = drawn_case(f"quick {kind}")
-    found = diagnose(case)
-    assert named(found) == ["presliding"]
-    (displacement,) = found.causes[0].parameters
+    diagnosis = diagnose(case)
+    assert named(diagnosis) == ["presliding"]
+    (displacement,) = diagnosis.causes[0].parameters
     assert displacement.value == pytest.approx(run.parameter("presliding", "displacement"), rel=0.4)
 
 
 @pytest.mark.long
 def test_a_limit_between_two_values_of_the_grid_is_not_taken_for_one_that_is_near_its_value(drawn_case):
     case, run = drawn_case("between two values")
-    found = diagnose(case)
-    assert named(found) == ["power_foldback"]  # a `torque_limit` is nearer as long as only the winner is refined
-    (power,) = [item.value for item in found.causes[0].parameters if item.name == "power"]
+    diagnosis = diagnose(case)
+    assert named(diagnosis) == ["power_foldback"]  # a `torque_limit` is nearer as long as only the winner is refined
+    (power,) = [item.value for item in diagnosis.causes[0].parameters if item.name == "power"]
     assert power == pytest.approx(run.parameter("power_foldback", "power"), rel=0.1)
 
 
@@ -182,9 +184,9 @@ def test_a_gear_s_error_is_told_at_its_order(drawn_case):
     filtered = case.model.bench.velocity_filter_bandwidth
     wrong = [uneven(record, ratio, amplitude, filtered) for record in (*case.fitted, *case.held_out)]
     model = case.model.model_copy(update={"gear_ratio": ratio})
-    found = diagnose(Case(model, wrong[: len(case.fitted)], wrong[len(case.fitted) :]))
-    assert named(found)[0] == "transmission_error"
-    told = {item.name: item.value for item in found.causes[0].parameters}
+    diagnosis = diagnose(Case(model, wrong[: len(case.fitted)], wrong[len(case.fitted) :]))
+    assert named(diagnosis)[0] == "transmission_error"
+    told = {item.name: item.value for item in diagnosis.causes[0].parameters}
     assert told["order"] == ratio
     assert told["amplitude"] == pytest.approx(amplitude, rel=0.1)
 
@@ -202,10 +204,10 @@ def uneven(record, order, amplitude, bandwidth):
 
 def test_a_sound_machine_has_none_of_them(drawn_case):
     case, _ = drawn_case("sound")
-    found = diagnose(case)
-    assert found.verdict in ("none", "calibration")
-    assert named(found) == []
-    assert any("go by the model's torque_constant, which these runs cannot tell" in note for note in found.notes)
+    diagnosis = diagnose(case)
+    assert diagnosis.verdict in ("none", "calibration")
+    assert named(diagnosis) == []
+    assert any("go by the model's torque_constant, which these runs cannot tell" in note for note in diagnosis.notes)
 
 
 def test_a_spring_is_told_about_where_it_rests(drawn_case):

@@ -23,18 +23,18 @@ def mistakes(folder):
         runs = sorted((folder / name).glob("*.h5"))
         held_out = [run for run in runs if run.stem.endswith("-b")]
         fitted = [run for run in runs if run not in held_out]
-        found = diagnose(read_case(fitted, held_out, folder / name / "nominal.yaml"))
-        named = {cause.effect for cause in found.causes if cause.probability >= NAMED_PROBABILITY}
+        diagnosis = diagnose(read_case(fitted, held_out, folder / name / "nominal.yaml"))
+        named = {cause.effect for cause in diagnosis.causes if cause.probability >= NAMED_PROBABILITY}
         outside = label.get("outside_todays_vocabulary")
         acting = {SINCE[outside]} if outside in SINCE else set(label["effects"])
         if (outside and outside not in SINCE) or acting == {"unknown"}:
-            right = found.verdict == "unknown" and not named
+            right = diagnosis.verdict == "unknown" and not named
         elif acting:
-            right = bool(found.causes) and is_named(found, named, acting, set(label.get("one_class_with", ())))
+            right = bool(diagnosis.causes) and is_named(diagnosis, named, acting, set(label.get("one_class_with", ())))
         else:
-            right = found.verdict in ("none", "calibration") and not named
+            right = diagnosis.verdict in ("none", "calibration") and not named
         if not right:
-            wrong[name] = (sorted(acting), found.verdict, sorted(named))
+            wrong[name] = (sorted(acting), diagnosis.verdict, sorted(named))
     return wrong, len(labels)
 
 

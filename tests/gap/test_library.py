@@ -82,8 +82,8 @@ def test_an_effect_of_servos_alone_touches_no_equation_and_asks_for_a_servo(name
     assert not effect.applies(MODEL)
     servo = MODEL.model_copy(update={"drive": DriveModel(type="position_servo", gain=3.0, voltage_limit=7.4)})
     assert effect.applies(servo)
-    found = effect.parameters((), dict.fromkeys(definition, 0.5), servo)
-    assert {key for key, item in definition.items() if item.default is None} <= set(found) <= set(definition)
+    result = effect.parameters((), dict.fromkeys(definition, 0.5), servo)
+    assert {key for key, item in definition.items() if item.default is None} <= set(result) <= set(definition)
 
 
 @pytest.mark.parametrize("name", OTHERS)
@@ -101,12 +101,12 @@ def test_an_effect_fills_known_places_with_finite_columns_and_speaks_its_definit
                 touched += 1
     assert touched
     coefficients = next(columns for form in forms for case in CASES for columns in effect.terms(case, form).values())
-    found = dict.fromkeys(coefficients, 0.5)
-    parameters = effect.parameters(forms[0], found, MODEL)
+    result = dict.fromkeys(coefficients, 0.5)
+    parameters = effect.parameters(forms[0], result, MODEL)
     definition = effect_definition(name).parameters
     assert set(parameters) <= set(definition)
     assert {key for key, item in definition.items() if item.default is None} <= set(parameters)
-    assert effect.size(forms[0], found, MODEL) > 0
+    assert effect.size(forms[0], result, MODEL) > 0
 
 
 @pytest.mark.parametrize("name", OTHERS)

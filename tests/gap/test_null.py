@@ -161,10 +161,10 @@ def test_a_torque_constant_that_every_fit_holds_biases_no_other_parameter(tmp_pa
     machine = replace(machine, channels=("current", "angle", "current_reference", "velocity"), **fine)
     write_cases(tmp_path, {"spindle": (machine, draw_runs(np.random.default_rng([3, 1]), machine, [], "plain"))})
     joint = case_of(tmp_path / "spindle")
-    found = measure(joint.fitted, joint.model, only=())
-    assert found.held_parameters == ()
+    result = measure(joint.fitted, joint.model, only=())
+    assert result.held_parameters == ()
     for name in ("viscous_damping", "coulomb_friction", "rotor_inertia"):
-        assert abs(found.parameter_changes[name][0]) < 0.002, name
+        assert abs(result.parameter_changes[name][0]) < 0.002, name
 
 
 @pytest.mark.parametrize(
@@ -172,15 +172,15 @@ def test_a_torque_constant_that_every_fit_holds_biases_no_other_parameter(tmp_pa
 )
 def test_what_fits_to_sound_machines_are_off_by_alike_is_taken_away(case, null, parameter, reciprocal):
     """Where they find 0.8 of an inertia, a machine has 1.25 of what its fit finds, and a fifth of that in doubt."""
-    found = {}
+    results = {}
     for bias in (0.0, -0.2):
         evidence = Evidence(case.fitted, case.model, only=[])
         evidence.compare_with(replace(null, parameter_changes={parameter: (bias, 0.003)}))
-        (found[bias],) = (p for p in calibrated_parameters(evidence, evidence.settle([])) if p.parameter == parameter)
+        (results[bias],) = (p for p in calibrated_parameters(evidence, evidence.settle([])) if p.parameter == parameter)
     factor = 1.2 if reciprocal else 1.0 / 0.8
-    assert found[-0.2].fitted == pytest.approx(factor * found[0.0].fitted)
-    assert found[0.0].std / found[0.0].nominal < 0.02
-    assert found[-0.2].std / found[-0.2].nominal == pytest.approx(BIAS_DOUBT_SHARE * 0.2 * factor, rel=0.15)
+    assert results[-0.2].fitted == pytest.approx(factor * results[0.0].fitted)
+    assert results[0.0].std / results[0.0].nominal < 0.02
+    assert results[-0.2].std / results[-0.2].nominal == pytest.approx(BIAS_DOUBT_SHARE * 0.2 * factor, rel=0.15)
 
 
 @pytest.mark.parametrize("bias", [-0.977, -0.5, 0.5])
@@ -230,11 +230,11 @@ def test_a_torque_constant_that_a_loud_voltage_does_not_tell_is_held_without_a_b
     for one in free:
         voltage = one.fast.values["q_axis_voltage", "test"]
         voltage += 10.0 * random.standard_normal(len(voltage))
-    found = measure(free, case.model, only=())
-    assert found.held_parameters == ("torque_constant",)
-    assert "torque_constant" in found.unidentifiable
+    result = measure(free, case.model, only=())
+    assert result.held_parameters == ("torque_constant",)
+    assert "torque_constant" in result.unidentifiable
     for name in ("viscous_damping", "coulomb_friction", "rotor_inertia"):
-        mean, scatter = found.parameter_changes[name]
+        mean, scatter = result.parameter_changes[name]
         assert abs(mean) < 0.01, name
         assert scatter == pytest.approx(PRIORS["torque_constant"], rel=0.1), name
 

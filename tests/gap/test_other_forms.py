@@ -36,8 +36,8 @@ def test_only_the_nearest_effect_is_named(law, nearest):
     random = np.random.default_rng([77, 0])
     joint = drawn_joint(random)
     top = 0.6 * joint.constant * joint.top / joint.damping
-    found = diagnose(case(joint, Log(), random, Effect(drag=law(joint, top))))
-    assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == [nearest]
+    diagnosis = diagnose(case(joint, Log(), random, Effect(drag=law(joint, top))))
+    assert [cause.effect for cause in diagnosis.causes if cause.probability >= 0.5] == [nearest]
 
 
 @pytest.mark.long
@@ -45,8 +45,8 @@ def test_two_effects_of_one_equation_are_both_named():
     random = np.random.default_rng([77, 1])
     joint = drawn_joint(random)
     top = 0.6 * joint.constant * joint.top / joint.damping
-    found = diagnose(case(joint, Log(), random, Effect(loss=0.15, drag=hyperbolic(joint, top))))
-    assert {cause.effect for cause in found.causes if cause.probability >= 0.5} == {"saturation", "stribeck"}
+    diagnosis = diagnose(case(joint, Log(), random, Effect(loss=0.15, drag=hyperbolic(joint, top))))
+    assert {cause.effect for cause in diagnosis.causes if cause.probability >= 0.5} == {"saturation", "stribeck"}
 
 
 @pytest.mark.long
@@ -54,5 +54,5 @@ def test_overtones_of_a_wave_are_no_further_effect():
     random = np.random.default_rng([78, 0])
     joint = drawn_joint(random)
     waves = Effect(ripple=lambda angle: 0.08 * np.cos(6 * angle) + 0.03 * np.cos(12 * angle + 1.0))
-    found = diagnose(case(joint, Log(), random, waves))
-    assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["torque_ripple"]
+    diagnosis = diagnose(case(joint, Log(), random, waves))
+    assert [cause.effect for cause in diagnosis.causes if cause.probability >= 0.5] == ["torque_ripple"]

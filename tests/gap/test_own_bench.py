@@ -50,19 +50,19 @@ def test_the_model_of_the_emulated_bench_is_what_the_bench_is_made_of():
 
 @pytest.mark.long
 def test_a_bench_as_its_model_says_has_no_cause(diagnose):
-    found = diagnose()
-    assert found["verdict"] in ("none", "calibration")
-    assert all(cause["probability"] < 0.5 for cause in found["causes"])
-    assert [line for line in found["where"] if line["mechanical"] == "free"] == []
-    fitted = {line["parameter"]: line["fitted"] / line["nominal"] for line in found["calibration"]}
+    diagnosis = diagnose()
+    assert diagnosis["verdict"] in ("none", "calibration")
+    assert all(cause["probability"] < 0.5 for cause in diagnosis["causes"])
+    assert [line for line in diagnosis["where"] if line["mechanical"] == "free"] == []
+    fitted = {line["parameter"]: line["fitted"] / line["nominal"] for line in diagnosis["calibration"]}
     for name in ("torque_constant", "viscous_damping", "coulomb_friction", "rotor_inertia"):
         assert fitted[name] == pytest.approx(1.0, abs=0.01), name
 
 
 @pytest.mark.long
 def test_an_effect_behind_the_wires_is_named_with_its_size(diagnose):
-    found = diagnose("quadratic_drag", {"coefficient": 4e-4})
-    first = found["causes"][0]
-    assert (found["verdict"], first["effect"]) == ("effect", "quadratic_drag")
+    diagnosis = diagnose("quadratic_drag", {"coefficient": 4e-4})
+    first = diagnosis["causes"][0]
+    assert (diagnosis["verdict"], first["effect"]) == ("effect", "quadratic_drag")
     (size,) = first["parameters"]
     assert size["value"] == pytest.approx(4e-4, rel=0.02)

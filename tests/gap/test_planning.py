@@ -66,17 +66,17 @@ def test_a_protocol_that_separates_an_unknown_effect_is_refused(tmp_path):
 
 
 def test_free_turning_hides_what_needs_a_shaft_that_carries_torque():
-    found = seen_in("friction")
-    assert found["torque_sensor_gain"].smallest is None
-    assert found["load_dependent_friction"].smallest is None
-    assert found["unbalance"].seen
-    assert "current_sensor_offset" in found["asymmetric_friction"].alike
+    result = seen_in("friction")
+    assert result["torque_sensor_gain"].smallest is None
+    assert result["load_dependent_friction"].smallest is None
+    assert result["unbalance"].seen
+    assert "current_sensor_offset" in result["asymmetric_friction"].alike
 
 
 def test_a_locked_shaft_shows_no_drag_but_a_late_torque():
-    found = seen_in("separate-sensor-timing")
-    assert found["quadratic_drag"].smallest is None
-    assert found["time_skew"].smallest is not None
+    result = seen_in("separate-sensor-timing")
+    assert result["quadratic_drag"].smallest is None
+    assert result["time_skew"].smallest is not None
 
 
 @pytest.mark.long
@@ -109,9 +109,9 @@ def test_a_planned_record_moves_as_the_model_does():
 def advised(model_file):
     """What the command says of two protocols beside every shipped one."""
     named = ["--protocol", "friction", "--protocol", "separate-drive-timing"]
-    told = CliRunner().invoke(app, ["gap", "plan", "--model", str(model_file), *named, "--json"])
-    assert told.exit_code == 0, told.output
-    return json.loads(told.stdout)
+    completed = CliRunner().invoke(app, ["gap", "plan", "--model", str(model_file), *named, "--json"])
+    assert completed.exit_code == 0, completed.output
+    return json.loads(completed.stdout)
 
 
 @pytest.mark.long

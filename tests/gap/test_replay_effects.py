@@ -111,11 +111,11 @@ def test_an_effect_moves_what_it_says_and_nothing_else(effect, parameters, mecha
     plain = channels(replay(run, model(resistance_coefficient=coefficient)))
     changed = channels(replay(run, model((effect, parameters), resistance_coefficient=coefficient)))
     assert plain.keys() == changed.keys()
-    found = set()
+    results = set()
     for key, values in plain.items():
         if np.nanmax(np.abs(changed[key] - values)) > SMALLEST.get(key, 1e-6):
-            found.add(key)
-    assert found == moved
+            results.add(key)
+    assert results == moved
 
 
 def test_every_effect_of_the_library_has_a_case():

@@ -26,10 +26,10 @@ def humming(hertz, noise):
 @given(hertz=st.floats(0.6, 40.0), noise=st.floats(0.0, 2.0), durations=st.tuples(*[st.floats(15.0, 40.0)] * 2))
 def test_any_frequency_is_found_and_explains_runs_of_another_phase(hertz, noise, durations):
     fitted = [course(humming(hertz, noise), duration, seed=k) for k, duration in enumerate(durations)]
-    found = strongest_frequency(fitted)
-    assert found == pytest.approx(hertz, abs=0.2 / max(durations))
+    result = strongest_frequency(fitted)
+    assert result == pytest.approx(hertz, abs=0.2 / max(durations))
     other = course(humming(hertz, noise), seed=7)
-    explained = gains(other, found)
+    explained = gains(other, result)
     assert explained.sum() == pytest.approx(
         0.5 * len(other.time), rel=0.25, abs=6.0 * noise * np.sqrt(0.5 * len(other.time))
     )
@@ -44,9 +44,9 @@ def coloured(time, rng):
 def test_noise_of_any_colour_repeats_by_no_frequency_of_another_run(left_of):
     taken_for_one = 0
     for seed in range(40):
-        found = strongest_frequency([course(left_of, seed=3 * seed + k) for k in range(2)])
+        result = strongest_frequency([course(left_of, seed=3 * seed + k) for k in range(2)])
         other = course(left_of, seed=3 * seed + 2)
-        explained = gains(other, found)
+        explained = gains(other, result)
         enough = explained.sum() > LEAST_SLOW_SHARE * np.sum(other.residual**2)
         taken_for_one += enough and certainty(explained, other.stretch) >= LEAST_CERTAINTY
     assert taken_for_one == 0

@@ -16,10 +16,10 @@ def test_a_small_effect_beside_a_large_rest_is_not_named():
     poor = given.model.model_dump(exclude_none=True)
     del poor["coulomb_friction"], poor["bench"]["velocity_filter_bandwidth"]
     given.model = Model(**poor)
-    found = diagnose(given)
-    assert found.verdict == "unknown"
-    assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == []
-    assert any("too much is left beside what it explains" in note for note in found.notes)
+    diagnosis = diagnose(given)
+    assert diagnosis.verdict == "unknown"
+    assert [cause.effect for cause in diagnosis.causes if cause.probability >= 0.5] == []
+    assert any("too much is left beside what it explains" in note for note in diagnosis.notes)
 
 
 @pytest.mark.long

@@ -17,14 +17,14 @@ LONGEST_S = 60.0  # of processor time, for one of at most 48,000 samples
 def answered(seed, folder):
     """The verdict on a drawn rig, or the faults it is refused with."""
     try:
-        found = diagnose(drawn_rig(seed, folder))
+        diagnosis = diagnose(drawn_rig(seed, folder))
     except InputError as error:
         assert error.faults
         assert all("\n" not in fault for fault in error.faults)
         return "refused"
-    assert found.verdict in VERDICTS
-    found.as_json()
-    return found.verdict
+    assert diagnosis.verdict in VERDICTS
+    diagnosis.as_json()
+    return diagnosis.verdict
 
 
 @pytest.mark.parametrize("seed", [1001, 1006, 1038, 1039, 2195])

@@ -72,15 +72,15 @@ def named(answer):
 
 def test_a_servo_is_diagnosed_whole(tmp_path):
     records = bench(tmp_path, load=0.3)
-    found = diagnosed(records)
-    assert (found.verdict, named(found)) == ("effect", ["load_dependent_friction"])
-    assert any("straight down" in note for note in found.notes)
-    [seen] = [cause.picture for cause in found.causes if cause.effect == "load_dependent_friction"]
+    diagnosis = diagnosed(records)
+    assert (diagnosis.verdict, named(diagnosis)) == ("effect", ["load_dependent_friction"])
+    assert any("straight down" in note for note in diagnosis.notes)
+    [seen] = [cause.picture for cause in diagnosis.causes if cause.effect == "load_dependent_friction"]
     assert (seen.variable, seen.equation) == ("angle", "replay")  # no torque is logged: what a pendulum's angle makes
     assert seen.after_rms < 0.5 * seen.before_rms
-    angle = next(line for line in found.shrinkage if line.quantity == "angle")
+    angle = next(line for line in diagnosis.shrinkage if line.quantity == "angle")
     assert angle.augmented_rms < 0.2 * angle.calibrated_rms
-    again = diagnose(Case(found.extra["augmented"], *hold_out_runs(records)))
+    again = diagnose(Case(diagnosis.extra["augmented"], *hold_out_runs(records)))
     assert named(again) == []
     entries = [entry.effect for entry in again.extra["augmented"].effects]
     assert entries == ["load_dependent_friction"]
@@ -88,9 +88,9 @@ def test_a_servo_is_diagnosed_whole(tmp_path):
 
 @pytest.mark.long
 def test_a_light_servo_without_any_effect_has_no_cause(tmp_path):
-    found = diagnosed(bench(tmp_path, light=True), rotor_inertia=5e-4, load=PENDULUM["load"] | {"mass": 0.05})
-    assert named(found) == []
-    assert found.unexplained_probability < 0.5
+    diagnosis = diagnosed(bench(tmp_path, light=True), rotor_inertia=5e-4, load=PENDULUM["load"] | {"mass": 0.05})
+    assert named(diagnosis) == []
+    assert diagnosis.unexplained_probability < 0.5
 
 
 UNNAMED = pytest.mark.xfail(strict=True, raises=AssertionError, reason="left unexplained, with no name")
@@ -103,11 +103,11 @@ PROPOSED = (
 @pytest.mark.long
 @pytest.mark.parametrize(("effect", "truth"), PROPOSED)
 def test_what_a_balance_proposes_may_take_the_place_of_what_is_always_tried(tmp_path, effect, truth):
-    found = diagnosed(bench(tmp_path, **truth))
+    diagnosis = diagnosed(bench(tmp_path, **truth))
     assert effect in {
-        name for c in found.causes if c.probability >= 0.5 for name in (c.effect, *c.indistinguishable_from)
+        name for c in diagnosis.causes if c.probability >= 0.5 for name in (c.effect, *c.indistinguishable_from)
     }
-    assert len(named(found)) <= 2
+    assert len(named(diagnosis)) <= 2
 
 
 def test_a_run_that_begins_in_motion_is_followed_from_there(tmp_path):
@@ -126,9 +126,9 @@ def later(record, first):
 
 @pytest.mark.long
 def test_a_parameter_that_the_model_leaves_out_is_fitted_and_written(tmp_path):
-    found = diagnosed(bench(tmp_path), coulomb_friction=None)
-    assert named(found) == []
-    assert found.extra["calibrated"].coulomb_friction == pytest.approx(TRUE["coulomb_friction"], rel=0.1)
+    diagnosis = diagnosed(bench(tmp_path), coulomb_friction=None)
+    assert named(diagnosis) == []
+    assert diagnosis.extra["calibrated"].coulomb_friction == pytest.approx(TRUE["coulomb_friction"], rel=0.1)
 
 
 @pytest.mark.long
@@ -138,16 +138,16 @@ def test_runs_at_another_pace_are_left_out_and_named(tmp_path):
     half = slice(None, None, 2)
     parts = [channel(slow.time[half], name, slow.get(name)[half], "rad") for name in ("angle", "angle_reference")]
     records[-1] = recorded(tmp_path, parts, {"drive_gain": GAINS[-1]}, "slow")
-    found = diagnosed(records)
-    assert named(found) == ["load_dependent_friction"]
-    assert any("another pace" in note and "slow" in note for note in found.notes)
+    diagnosis = diagnosed(records)
+    assert named(diagnosis) == ["load_dependent_friction"]
+    assert any("another pace" in note and "slow" in note for note in diagnosis.notes)
 
 
 @pytest.mark.long
 def test_a_servo_that_logs_its_current_is_balanced_as_any_axis(tmp_path):
-    found = diagnosed(bench(tmp_path, load=0.3, logs_current=True))
-    assert "load_dependent_friction" in named(found)
-    assert not any("straight down" in note for note in found.notes)
+    diagnosis = diagnosed(bench(tmp_path, load=0.3, logs_current=True))
+    assert "load_dependent_friction" in named(diagnosis)
+    assert not any("straight down" in note for note in diagnosis.notes)
 
 
 @pytest.mark.long
@@ -157,22 +157,22 @@ def test_a_servo_that_lacks_nothing_but_its_parameters_has_no_cause(tmp_path):
 
 @pytest.mark.long
 def test_friction_that_grows_with_load_stands_alone(tmp_path):
-    found = standing(*bench(tmp_path, load=0.3))
-    assert list(found) == ["load_dependent_friction"]
-    assert found["load_dependent_friction"] > 0.9
+    result = standing(*bench(tmp_path, load=0.3))
+    assert list(result) == ["load_dependent_friction"]
+    assert result["load_dependent_friction"] > 0.9
 
 
 @pytest.mark.long
 def test_friction_that_grows_with_load_and_falls_with_speed_is_found_together(tmp_path):
-    found = standing(*bench(tmp_path, load=0.3, stribeck=0.5))
-    assert {"load_dependent_friction", "stribeck"} <= {name for name, p in found.items() if p > 0.9}
-    assert "saturation" not in found
+    result = standing(*bench(tmp_path, load=0.3, stribeck=0.5))
+    assert {"load_dependent_friction", "stribeck"} <= {name for name, p in result.items() if p > 0.9}
+    assert "saturation" not in result
 
 
 @pytest.mark.long
 def test_torque_that_falls_short_is_told_from_friction(tmp_path):
-    found = standing(*bench(tmp_path, lost=0.3), proposed=[("saturation", (2.0, 1.0))])
-    assert list(found) == ["saturation"]
+    result = standing(*bench(tmp_path, lost=0.3), proposed=[("saturation", (2.0, 1.0))])
+    assert list(result) == ["saturation"]
 
 
 def test_what_other_runs_lose_by_more_than_the_fitted_ones_gain_is_not_believed(tmp_path):
@@ -190,9 +190,9 @@ def test_what_other_runs_lose_by_more_than_the_fitted_ones_gain_is_not_believed(
 
 
 def test_free_runs_give_a_servo_s_parameters_back_with_their_errors(tmp_path):
-    found = fit_effect_sets(bench(tmp_path, load=0.3), [], servo_model(), [])
+    result = fit_effect_sets(bench(tmp_path, load=0.3), [], servo_model(), [])
     for name, true in TRUE.items():
-        assert abs(found.augmented.parameters[name] - true) < 4.0 * found.stds[name] + 0.01 * true, name
+        assert abs(result.augmented.parameters[name] - true) < 4.0 * result.stds[name] + 0.01 * true, name
 
 
 def test_a_fit_finds_a_delay_of_the_reference(tmp_path):

@@ -64,17 +64,17 @@ def test_a_limited_servo_is_diagnosed_whole_from_position_goal_and_duty():
 @pytest.mark.long
 def test_a_limited_servo_is_told_from_a_weak_motor_by_position_and_goal_alone():
     servo, random = drawn(4, "limit", seconds=8.0, free=True)
-    found = standing(servos.case(servo, random, volts=False, kinds=("steps", "sines")))
-    assert list(found) == ["reference_rate_limit"]
-    assert found["reference_rate_limit"]["speed"][0] == pytest.approx(servo.speed, rel=0.05)
+    result = standing(servos.case(servo, random, volts=False, kinds=("steps", "sines")))
+    assert list(result) == ["reference_rate_limit"]
+    assert result["reference_rate_limit"]["speed"][0] == pytest.approx(servo.speed, rel=0.05)
 
 
 @pytest.mark.long
 def test_a_dead_band_is_found_with_its_width():
     servo, random = drawn(5, "BAND", seconds=8.0, free=False)
-    found = standing(servos.case(servo, random, kinds=("steps", "sines")))
-    assert list(found) == ["servo_dead_band"]
-    assert found["servo_dead_band"]["band"][0] == pytest.approx(servo.band, rel=0.1)
+    result = standing(servos.case(servo, random, kinds=("steps", "sines")))
+    assert list(result) == ["servo_dead_band"]
+    assert result["servo_dead_band"]["band"][0] == pytest.approx(servo.band, rel=0.1)
 
 
 @pytest.mark.parametrize("volts", [True, False])

@@ -53,9 +53,9 @@ def joint_case(seed, effect=joints.SOUND, times_thinned=0):
 
 def changes_setpoints_between_rows(drawn):
     runs = mark_setpoints([*drawn.fitted, *drawn.held_out], drawn.model)
-    found = {record.fast.setpoints_between for record in runs}
-    assert len(found) == 1, "all runs are of one log"
-    return found.pop()
+    results = {record.fast.setpoints_between for record in runs}
+    assert len(results) == 1, "all runs are of one log"
+    return results.pop()
 
 
 @pytest.mark.parametrize("seed", [6])
@@ -99,28 +99,28 @@ def test_rows_hold_their_setpoint_where_one_swift_rate_meets_every_leap(seed, ro
 
 @pytest.mark.long
 def test_a_drive_of_a_limited_rate_is_named():
-    found = diagnose(limited_joint(2, 5))
-    assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["command_slew_limit"]
+    diagnosis = diagnose(limited_joint(2, 5))
+    assert [cause.effect for cause in diagnosis.causes if cause.probability >= 0.5] == ["command_slew_limit"]
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [2, 7])
 def test_a_limit_whose_ramps_end_within_their_rows_is_named(seed):
-    found = diagnose(limited_joint(seed, 1))
-    assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["command_slew_limit"]
+    diagnosis = diagnose(limited_joint(seed, 1))
+    assert [cause.effect for cause in diagnosis.causes if cause.probability >= 0.5] == ["command_slew_limit"]
 
 
 @pytest.mark.parametrize("times", [pytest.param(1, marks=pytest.mark.long), 2])
 def test_a_sound_joint_is_not_late_in_a_thinned_log(times):
-    found = diagnose(joint_case(6, times_thinned=times))
-    assert found.verdict == "calibration"
-    assert not [cause for cause in found.causes if cause.probability >= 0.5]
-    assert any(note.startswith("setpoints change between the rows") for note in found.notes)
+    diagnosis = diagnose(joint_case(6, times_thinned=times))
+    assert diagnosis.verdict == "calibration"
+    assert not [cause for cause in diagnosis.causes if cause.probability >= 0.5]
+    assert any(note.startswith("setpoints change between the rows") for note in diagnosis.notes)
 
 
 def test_a_late_drive_is_named_in_a_thinned_log():
-    found = diagnose(joint_case(6, Effect(delay=6), times_thinned=1))
-    assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["transport_delay"]
+    diagnosis = diagnose(joint_case(6, Effect(delay=6), times_thinned=1))
+    assert [cause.effect for cause in diagnosis.causes if cause.probability >= 0.5] == ["transport_delay"]
 
 
 @pytest.mark.parametrize(("lost", "held"), [(0, True), (1, False)])
@@ -174,6 +174,6 @@ def test_a_sound_servo_is_not_late_in_a_log_of_every_fourth_sample(tmp_path, thi
     assert "velocity_reference" in spindle.channels
     machine = replace(spindle, protocols=("levels", "ramp", third))
     write_cases(tmp_path, {"servo": (machine, draw_runs(np.random.default_rng([77, 1, seed]), machine, [], "plain"))})
-    found = diagnose(logged_slower(tmp_path / "servo", divide=4))
-    assert found.verdict == "calibration"
-    assert not [cause for cause in found.causes if cause.probability >= 0.5]
+    diagnosis = diagnose(logged_slower(tmp_path / "servo", divide=4))
+    assert diagnosis.verdict == "calibration"
+    assert not [cause for cause in diagnosis.causes if cause.probability >= 0.5]

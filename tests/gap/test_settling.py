@@ -19,9 +19,9 @@ WIDE = {"current_loop_bandwidth": 1e5}  # Hz, of a loop that follows at once
 
 @given(st.lists(st.booleans(), min_size=1, max_size=60), st.floats(0.0, 0.01))
 def test_a_row_is_settling_from_before_a_change_until_the_loop_has_forgotten_it(changing, settles):
-    found = settling_rows(np.array(changing), settles, 1e-3)
+    result = settling_rows(np.array(changing), settles, 1e-3)
     after = 1 + math.ceil(SETTLING_TIME_CONSTANTS * settles / 1e-3)
-    assert found.tolist() == [any(changing[max(row - after, 0) : row + 2]) for row in range(len(changing))]
+    assert result.tolist() == [any(changing[max(row - after, 0) : row + 2]) for row in range(len(changing))]
 
 
 @pytest.mark.parametrize("begin", [0.0, -2.0, 1.5])

@@ -103,12 +103,12 @@ def test_a_sound_joint_has_no_fault(cases):
 
 def test_a_fault_is_the_first_cause_with_its_change_and_what_is_left_is_sound(cases):
     joint, given = cases[0]
-    found = diagnose(spoilt(given, joint, ["velocity"], lambda v, _: v * 30.0 / np.pi))
-    assert found.verdict == "effect"
-    assert [(c.effect, c.family) for c in found.causes if c.probability >= 0.5] == [("channel_scale", "setup")]
-    assert "0.1047" in found.causes[0].change
-    assert "60/(2 pi)" in found.notes[0]
-    assert found.causes[0].parameters[0].value == pytest.approx(30.0 / np.pi, rel=0.01)
+    diagnosis = diagnose(spoilt(given, joint, ["velocity"], lambda v, _: v * 30.0 / np.pi))
+    assert diagnosis.verdict == "effect"
+    assert [(c.effect, c.family) for c in diagnosis.causes if c.probability >= 0.5] == [("channel_scale", "setup")]
+    assert "0.1047" in diagnosis.causes[0].change
+    assert "60/(2 pi)" in diagnosis.notes[0]
+    assert diagnosis.causes[0].parameters[0].value == pytest.approx(30.0 / np.pi, rel=0.01)
 
 
 def test_a_fault_that_leaves_nothing_to_check_is_the_answer_itself(cases):
@@ -117,9 +117,9 @@ def test_a_fault_that_leaves_nothing_to_check_is_the_answer_itself(cases):
     for record in [*dead.fitted, *dead.held_out]:
         for quantity in ("q_axis_current", "q_axis_current_reference"):
             del record.fast.values[quantity, "test"]
-    found = diagnose(dead)
-    assert {c.effect for c in found.causes} == {"frozen_channel"}
-    assert any("a diagnosis needs the angle" in note for note in found.notes)
+    diagnosis = diagnose(dead)
+    assert {c.effect for c in diagnosis.causes} == {"frozen_channel"}
+    assert any("a diagnosis needs the angle" in note for note in diagnosis.notes)
 
 
 @pytest.mark.parametrize(
@@ -201,8 +201,8 @@ def test_a_fault_is_not_named_where_an_effect_explains_the_runs_as_they_were_log
     sprung = case_of(tmp_path / "spring")
     faults, _ = mend_faults(sprung)
     assert [fault.as_cause().effect for fault in faults] == ["channel_scale"]
-    found = diagnose(sprung)
-    assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == ["position_spring"]
+    diagnosis = diagnose(sprung)
+    assert [cause.effect for cause in diagnosis.causes if cause.probability >= 0.5] == ["position_spring"]
 
 
 @pytest.mark.parametrize("mechanical", ["free", "locked"])

@@ -57,15 +57,15 @@ def test_a_share_of_a_gap_that_chance_closes_has_no_interval():
 def test_the_true_model_closes_the_gap_to_the_floor_and_others_stay_open():
     truth = model(("saturation", {"loss": 0.2}))
     shrunk = shrinkage([staircase(truth)], model(torque_constant=0.55), model(), truth)
-    found = table(shrunk)
-    torque = found["torque", "test", "locked"]
+    result = table(shrunk)
+    torque = result["torque", "test", "locked"]
     assert torque.floor_rms == pytest.approx(TORQUE_NOISE, rel=0.1)
     assert torque.augmented_rms == pytest.approx(torque.floor_rms, rel=0.1)
     assert torque.nominal_rms > torque.calibrated_rms > 5 * torque.floor_rms
     assert torque.closed == pytest.approx(1.0, abs=0.03)
     assert torque.closed_low <= torque.closed <= torque.closed_high
     assert torque.closed_high - torque.closed_low < 0.1
-    current = found["q_axis_current", "test", "locked"]
+    current = result["q_axis_current", "test", "locked"]
     assert current.closed is None
     assert current.calibrated_rms == pytest.approx(CURRENT_NOISE, rel=0.1)
 
@@ -184,8 +184,8 @@ def truth_of(case):
 def test_the_true_parameters_of_a_practice_case_leave_the_floor(case):
     nominal, without, truth = truth_of(case)
     runs = sorted((PRACTICE / case).glob("*-b.h5"))
-    found = table(shrinkage([read_record(path) for path in runs], nominal, without, truth))
-    over = {key: one.augmented_rms / one.floor_rms for key, one in found.items()}
+    result = table(shrinkage([read_record(path) for path in runs], nominal, without, truth))
+    over = {key: one.augmented_rms / one.floor_rms for key, one in result.items()}
     judged = {key: ratio for key, ratio in over.items() if key[2] in ("locked", "heated")}
     if case == "practice-3":  # the bench's sensor lags by another curve than first order
         judged.pop(("torque", "test", "locked"))
@@ -195,7 +195,7 @@ def test_the_true_parameters_of_a_practice_case_leave_the_floor(case):
     # a free rotor integrates what a millisecond's sampling leaves open of the servo's current steps
     assert over["velocity", "test", "free"] < 3.5
     if case != "practice-1":
-        assert max(one.closed or 0.0 for one in found.values()) > (0.8 if case == "practice-3" else 0.9)
+        assert max(one.closed or 0.0 for one in result.values()) > (0.8 if case == "practice-3" else 0.9)
 
 
 def test_what_a_filter_leaves_of_a_motion_that_is_over_is_no_noise():

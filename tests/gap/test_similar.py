@@ -118,8 +118,8 @@ def with_effects(tmp_path_factory):
 
 
 def named(case):
-    found = diagnose(case)
-    return found.verdict, {cause.effect for cause in found.causes if cause.probability >= 0.5}
+    diagnosis = diagnose(case)
+    return diagnosis.verdict, {cause.effect for cause in diagnosis.causes if cause.probability >= 0.5}
 
 
 def test_a_sound_bench_of_another_size_is_sound(sound):

@@ -64,10 +64,10 @@ def case_of(folder: Path, size=(1.0, 1.0, 1.0), divide=1):
     by, records = factors(*size), []
     for path in sorted(folder.glob("*.h5")):
         with Run.open(path) as run:
-            found = [channel for spec in run.streams["loop"] for channel in run.channels(spec.quantity, spec.role)]
+            results = [channel for spec in run.streams["loop"] for channel in run.channels(spec.quantity, spec.role)]
             scaled = [
                 replace(one, time=one.time * by["s"], values=np.asarray(one.values, float) * by[one.units])
-                for one in found
+                for one in results
             ]
             channels = [thinned(one, divide) for one in scaled]
             records.append(build_record(path, str(run.attributes["protocol"]), run.mechanical, channels, {}))
@@ -76,8 +76,8 @@ def case_of(folder: Path, size=(1.0, 1.0, 1.0), divide=1):
 
 
 def named(case):
-    found = diagnose(case)
-    return found.verdict, {cause.effect for cause in found.causes if cause.probability >= 0.5}
+    diagnosis = diagnose(case)
+    return diagnosis.verdict, {cause.effect for cause in diagnosis.causes if cause.probability >= 0.5}
 
 
 @pytest.fixture(scope="module")

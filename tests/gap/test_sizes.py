@@ -37,8 +37,8 @@ def lame(name, joint):
 def test_an_effect_is_named_on_a_joint_of_any_size(name, seed):
     random = np.random.default_rng(seed)
     joint = drawn_joint(random)
-    found = diagnose(case(joint, Log(), random, lame(name, joint)))
-    assert [cause.effect for cause in found.causes if cause.probability >= 0.5] == [name]
+    diagnosis = diagnose(case(joint, Log(), random, lame(name, joint)))
+    assert [cause.effect for cause in diagnosis.causes if cause.probability >= 0.5] == [name]
 
 
 @pytest.mark.long
@@ -48,8 +48,8 @@ def test_of_many_joints_with_an_effect_most_are_told_so_and_none_another(name, l
     for seed in range(300, 340):
         random = np.random.default_rng(seed)
         joint = drawn_joint(random)
-        found = diagnose(case(joint, Log(), random, lame(name, joint)))
-        told.append([cause.effect for cause in found.causes if cause.probability >= 0.5])
+        diagnosis = diagnose(case(joint, Log(), random, lame(name, joint)))
+        told.append([cause.effect for cause in diagnosis.causes if cause.probability >= 0.5])
     print(name, told.count([name]))
     assert told.count([name]) >= least  # friction that fades within a hundredth of the speed hides in a quarter of them
     assert [one for one in told if one not in ([], [name])] == []

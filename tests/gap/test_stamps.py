@@ -32,19 +32,19 @@ def sound(seed, told):
     ],  # in 122 a channel that hardly moves tells no shift
 )
 def test_a_sound_joint_is_called_so_whatever_its_log_leaves_unsaid(seed, told):
-    found = sound(seed, told)
-    assert found.verdict in ("none", "calibration")
-    assert named(found) == []
-    assert any("do not say what their stamps mean" in note for note in found.notes) != told
+    result = sound(seed, told)
+    assert result.verdict in ("none", "calibration")
+    assert named(result) == []
+    assert any("do not say what their stamps mean" in note for note in result.notes) != told
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("told", [True, False])
 def test_of_many_sound_joints_next_to_all_are_called_so(told):
-    found = [sound(seed, told) for seed in range(100, 140)]
-    wrong = [one for one in found if one.verdict not in ("none", "calibration") or named(one)]
-    print(f"sampling {'told' if told else 'not told'}: {len(found) - len(wrong)} of {len(found)} called sound")
-    assert len(wrong) <= (0.02 if told else 0.05) * len(found), [(one.verdict, named(one)) for one in wrong]
+    results = [sound(seed, told) for seed in range(100, 140)]
+    wrong = [one for one in results if one.verdict not in ("none", "calibration") or named(one)]
+    print(f"sampling {'told' if told else 'not told'}: {len(results) - len(wrong)} of {len(results)} called sound")
+    assert len(wrong) <= (0.02 if told else 0.05) * len(results), [(one.verdict, named(one)) for one in wrong]
 
 
 @pytest.mark.parametrize(
@@ -53,13 +53,13 @@ def test_of_many_sound_joints_next_to_all_are_called_so(told):
 def test_a_delay_is_named_that_no_stamps_explain(delay, seed):
     random = np.random.default_rng(seed)
     joint, log = drawn_joint(random), drawn_log(random)
-    found = diagnose(case(joint, log, random, Effect(delay=delay)))
-    assert named(found) == ["transport_delay"]
-    [told] = found.causes[0].parameters
+    diagnosis = diagnose(case(joint, log, random, Effect(delay=delay)))
+    assert named(diagnosis) == ["transport_delay"]
+    [told] = diagnosis.causes[0].parameters
     assert 0.5 < told.std * joint.rate < 1.5, "what the stamps may add is part of the error"
     stamps_add = log.current_late + 0.5 * (not log.held) + (not log.before) + 0.5 * log.filtered_by_samples
     assert told.value * joint.rate == pytest.approx(delay + stamps_add, abs=0.6), "no run tells the two apart"
-    assert any(note.startswith("one side of current is later than stamps can be") for note in found.notes)
+    assert any(note.startswith("one side of current is later than stamps can be") for note in diagnosis.notes)
 
 
 @pytest.mark.long
@@ -67,8 +67,8 @@ def test_a_delay_of_two_samples_is_named_only_where_stamps_are_told():
     for told in (True, False):
         random = np.random.default_rng(6)
         joint = drawn_joint(random)
-        found = diagnose(case(joint, Log(sampling=told), random, Effect(delay=2)))
-        assert named(found) == (["transport_delay"] if told else [])
+        diagnosis = diagnose(case(joint, Log(sampling=told), random, Effect(delay=2)))
+        assert named(diagnosis) == (["transport_delay"] if told else [])
 
 
 @pytest.mark.parametrize(("told", "delay", "least"), [(True, 1, 0.0), (False, 1, 3.0), (False, 6, 0.0)])
@@ -80,13 +80,13 @@ def test_a_delay_within_what_stamps_may_be_enters_no_set(told, delay, least):
     evidence = Evidence(mark_setpoints(made.fitted, made.model), made.model)
     normal, base = evidence.normal(), evidence.stack.columns_of([])
     delays = [candidate for candidate in evidence.candidates if candidate[0] == "transport_delay"]
-    found = [
+    results = [
         one
         for candidate in delays
         if (one := fit_further_effect(evidence, normal, base, candidate, any_size=True)) is not None
     ]
-    assert found
-    assert [one.floor * ENTRY_HEIGHT * joint.rate for one in found] == pytest.approx([least] * len(found), abs=0.1)
+    assert results
+    assert [one.floor * ENTRY_HEIGHT * joint.rate for one in results] == pytest.approx([least] * len(results), abs=0.1)
 
 
 @pytest.mark.long
@@ -99,8 +99,8 @@ def test_an_effect_is_named_in_a_log_without_stamps():
     def drag(speed):
         return strength * speed * abs(speed)
 
-    found = diagnose(case(joint, drawn_log(random), random, Effect(drag=drag)))
-    assert named(found) == ["quadratic_drag"]
+    diagnosis = diagnose(case(joint, drawn_log(random), random, Effect(drag=drag)))
+    assert named(diagnosis) == ["quadratic_drag"]
 
 
 def test_a_shape_that_no_run_shows_has_no_size():

@@ -35,8 +35,8 @@ def written(folder, rows, effect, runs=2):
 
 
 def named(folder):
-    found = diagnose(read_case(sorted(folder.glob("night-*.h5")), [], folder / "nominal.yaml"))
-    return found, [cause.effect for cause in found.causes if cause.probability >= 0.5]
+    diagnosis = diagnose(read_case(sorted(folder.glob("night-*.h5")), [], folder / "nominal.yaml"))
+    return diagnosis, [cause.effect for cause in diagnosis.causes if cause.probability >= 0.5]
 
 
 def test_what_some_do_not_need_is_for_the_others():
@@ -139,9 +139,9 @@ def test_heaps_are_found_whatever_the_blocks_they_are_read_in(pair, monkeypatch,
     part.write_bytes(raw)
     monkeypatch.setattr(text_heaps, "SEARCH_BYTES", size)
     with part.open("rb") as stream:
-        found = list(text_heaps.heaps(stream))
-    assert found == [at for at in range(len(raw)) if raw.startswith(text_heaps.HEAD, at)]
-    assert len(found) >= 3
+        results = list(text_heaps.heaps(stream))
+    assert results == [at for at in range(len(raw)) if raw.startswith(text_heaps.HEAD, at)]
+    assert len(results) >= 3
 
 
 @pytest.mark.long

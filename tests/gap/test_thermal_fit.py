@@ -28,19 +28,19 @@ def bench(sound_cases, sound_bench):
 
 def test_the_network_comes_out_within_four_standard_errors(bench):
     runs, true = bench
-    found = fit(runs)
-    assert [one.parameter for one in found.parameters] == list(FITTED_PARAMETERS)
-    for one in found.parameters:
+    result = fit(runs)
+    assert [one.parameter for one in result.parameters] == list(FITTED_PARAMETERS)
+    for one in result.parameters:
         assert abs(one.fitted - true[one.parameter]) < 4.0 * one.std
         assert one.std < 0.03 * one.fitted
 
 
 def test_tolerances_cover_the_truth_and_are_narrower_than_the_file_s(bench):
     runs, true = bench
-    found = fit(runs)
-    fitted = {one.parameter.removeprefix("thermal."): one.fitted for one in found.parameters}
-    assert found.tolerances["temperature_rise"] == 0.02
-    for name, tolerance in found.tolerances.items():
+    result = fit(runs)
+    fitted = {one.parameter.removeprefix("thermal."): one.fitted for one in result.parameters}
+    assert result.tolerances["temperature_rise"] == 0.02
+    for name, tolerance in result.tolerances.items():
         if name == "temperature_rise":
             continue
         actual = true.get(f"thermal.{name}", true.get(name))
@@ -50,7 +50,7 @@ def test_tolerances_cover_the_truth_and_are_narrower_than_the_file_s(bench):
         "winding_housing_resistance",
         "housing_ambient_resistance",
         "housing_capacitance",
-    } <= found.tolerances.keys()
+    } <= result.tolerances.keys()
 
 
 def test_a_run_that_cannot_be_read_is_refused(bench):

@@ -42,13 +42,13 @@ def test_a_free_rotor_s_current_explains_nothing_by_being_what_is_missing(sound_
     for seed, record in enumerate(records):
         rest(record, seed)
     evidence = Evidence(records[:1], read_model(sound_bench / "nominal.yaml")[0])
-    found = describe(evidence, [], FREE, records[1:], NEAR)
-    assert found.depends_on == depends_on
-    assert len(found.shapes) == shapes
-    assert (found.closable > 0.8) is bool(shapes)
-    assert found.repeats_Hz == (pytest.approx(HUM_HZ, rel=1e-3) if rest is hum else None)
-    assert [near.effect for near in found.nearest] == ["stribeck"]
-    assert found.experiment is not None
+    result = describe(evidence, [], FREE, records[1:], NEAR)
+    assert result.depends_on == depends_on
+    assert len(result.shapes) == shapes
+    assert (result.closable > 0.8) is bool(shapes)
+    assert result.repeats_Hz == (pytest.approx(HUM_HZ, rel=1e-3) if rest is hum else None)
+    assert [near.effect for near in result.nearest] == ["stribeck"]
+    assert result.experiment is not None
 
 
 def test_a_channel_that_no_run_has_is_not_described(sound_bench):

@@ -73,12 +73,12 @@ def fast_rotors(tmp_path_factory):
 )
 def test_on_a_rotor_that_turns_fast_for_its_samples_a_wave_is_named_alone_and_with_its_size(fast_rotors, effect):
     case, run = fast_rotors(effect)
-    found = diagnose(case)
-    one_class = {effect, *found.causes[0].indistinguishable_from}
-    assert {cause.effect for cause in found.causes if cause.probability >= 0.5} == one_class
+    diagnosis = diagnose(case)
+    one_class = {effect, *diagnosis.causes[0].indistinguishable_from}
+    assert {cause.effect for cause in diagnosis.causes if cause.probability >= 0.5} == one_class
     assert one_class <= {effect, "gravity_load"}
-    own = next(cause for cause in found.causes if cause.effect == effect)
-    fitted = {item.parameter: item.fitted for item in found.calibration}
+    own = next(cause for cause in diagnosis.causes if cause.effect == effect)
+    fitted = {item.parameter: item.fitted for item in diagnosis.calibration}
     ratio = fitted["torque_constant"] / run.specimen.torque_constant
     told = {item.name: item.value for item in own.parameters}["amplitude"]
     assert told == pytest.approx(run.parameter(effect, "amplitude") * ratio, rel=NEAR)

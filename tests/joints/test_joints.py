@@ -54,10 +54,10 @@ def test_a_constant_current_ends_at_the_speed_that_friction_leaves():
     specimen = run.specimen
     asked = 0.8 * specimen.machine.current
     program = JointProgram(np.full(1000, asked), None)
-    found = stepped.simulate([replace(run, program=program)])[0]
+    result = stepped.simulate([replace(run, program=program)])[0]
     steady = (specimen.torque_constant * asked - specimen.coulomb_friction) / specimen.viscous_damping
-    assert found.velocity[-1] == pytest.approx(steady, rel=1e-3)
-    assert found.current[-1] == pytest.approx(asked, rel=1e-9)
+    assert result.velocity[-1] == pytest.approx(steady, rel=1e-3)
+    assert result.current[-1] == pytest.approx(asked, rel=1e-9)
 
 
 def test_every_effect_changes_the_runs():

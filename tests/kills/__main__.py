@@ -52,12 +52,12 @@ def main() -> int:
             number = len(done)
             drawn = random.Random(f"{asked.seed} {number}")
             after_s, names = drawn.uniform(0.0, 1.5), drawn_strikes(drawn, struck)
-            found = strike_once(served, number, names, after_s)
-            done.append(found)
+            result = strike_once(served, number, names, after_s)
+            done.append(result)
             with asked.results.open("a") as results:
-                results.write(json.dumps(found) + "\n")
-            print(f"{struck + 1} of {asked.count}: {json.dumps(found)}", file=sys.stderr, flush=True)
-            if not found.get("faults"):
+                results.write(json.dumps(result) + "\n")
+            print(f"{struck + 1} of {asked.count}: {json.dumps(result)}", file=sys.stderr, flush=True)
+            if not result.get("faults"):
                 shutil.rmtree(directory / str(number))
     finally:
         served.close()
@@ -65,7 +65,7 @@ def main() -> int:
     print(text)
     if asked.report:
         asked.report.write_text(text)
-    if any(found.get("faults") for found in done):
+    if any(result.get("faults") for result in done):
         return 1
     shutil.rmtree(directory)
     return 0

@@ -19,10 +19,10 @@ def struck(tmp_path, monkeypatch):
         served = ServedBench(tmp_path, bus, CONSUMER_MS, *changes)
         try:
             for number in range(ATTEMPTS):
-                found = strike_once(served, number, names, 0.3)
-                if "void" not in found:
-                    return found
-            raise AssertionError(found["void"])
+                result = strike_once(served, number, names, 0.3)
+                if "void" not in result:
+                    return result
+            raise AssertionError(result["void"])
         finally:
             served.close()
 
@@ -47,9 +47,9 @@ def struck(tmp_path, monkeypatch):
     ],
 )
 def test_a_struck_run_leaves_no_torque_a_readable_file_and_its_bench_latched(struck, bus, way):
-    found = struck(bus, way)
-    assert found["faults"] == []
-    assert all(0.0 <= seconds <= 1.02 for seconds in found["stop_s"].values())
+    result = struck(bus, way)
+    assert result["faults"] == []
+    assert all(0.0 <= seconds <= 1.02 for seconds in result["stop_s"].values())
 
 
 @pytest.mark.parametrize("bus", [*(pytest.param(bus, marks=pytest.mark.long) for bus in BUSES[:-1]), BUSES[-1]])
@@ -58,5 +58,5 @@ def test_a_killed_run_is_stopped_by_its_watchdog_where_the_drives_dead_man_fails
 
 
 def test_a_hung_run_is_stopped_by_its_watchdog_where_the_drives_dead_man_fails(struck):
-    found = struck(BUSES[-1], ["driver call sleeping"], "without-dead-man")
-    assert all(1.0 <= seconds <= 3.0 for seconds in found["stop_s"].values())
+    result = struck(BUSES[-1], ["driver call sleeping"], "without-dead-man")
+    assert all(1.0 <= seconds <= 3.0 for seconds in result["stop_s"].values())

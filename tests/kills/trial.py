@@ -224,12 +224,12 @@ def is_closed(folder: Path) -> bool:
 def orphans(state: Path) -> list[str]:
     """Processes that are left of a run and its watchdog, told by where they keep state."""
     mark = f"LEACTL_STATE={state}".encode()
-    found = []
+    results = []
     for place in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
             if mark in (place / "environ").read_bytes().split(b"\0"):
-                found.append(f"left behind: {(place / 'cmdline').read_bytes().replace(bytes(1), b' ').decode()}")
-    return found
+                results.append(f"left behind: {(place / 'cmdline').read_bytes().replace(bytes(1), b' ').decode()}")
+    return results
 
 
 def mistakes(place: Path) -> list[str]:

@@ -37,38 +37,38 @@ def frictionless(motor):
 
 def test_a_sinusoid_has_its_closed_form():
     cycle, ratio = swing(), 12.0
-    found = stride(frictionless(LEA), cycle, ratio)
+    result = stride(frictionless(LEA), cycle, ratio)
     # torque of the motor: T/N cos(x + p) - J N a w^2 sin x, of squared amplitude |T/N e^jp + j J N a w^2|^2
     inertia = LEA.rotor_inertia * ratio * 0.4 * (2.0 * math.pi / 1.1) ** 2
     size = abs(50.0 / ratio * np.exp(0.7j) + 1j * inertia)
-    assert found.joule == pytest.approx(1.1 * LEA.phase_resistance * (size / LEA.torque_constant) ** 2 / 2.0)
-    assert found.joint_work == pytest.approx(0.5 * 50.0 * math.cos(0.7) * 0.4 * 2.0 * math.pi)
-    assert found.electrical == pytest.approx(found.joint_work + found.joule)
-    assert found.peak_line_current == pytest.approx(size / LEA.torque_constant / FRAMES["wye"].current, rel=1e-4)
+    assert result.joule == pytest.approx(1.1 * LEA.phase_resistance * (size / LEA.torque_constant) ** 2 / 2.0)
+    assert result.joint_work == pytest.approx(0.5 * 50.0 * math.cos(0.7) * 0.4 * 2.0 * math.pi)
+    assert result.electrical == pytest.approx(result.joint_work + result.joule)
+    assert result.peak_line_current == pytest.approx(size / LEA.torque_constant / FRAMES["wye"].current, rel=1e-4)
 
 
 def test_viscous_and_coulomb_friction_have_theirs():
-    found = stride(LEA, swing(), 12.0)
+    result = stride(LEA, swing(), 12.0)
     speed = 12.0 * 0.4 * 2.0 * math.pi / 1.1
-    assert found.viscous == pytest.approx(1.1 * LEA.viscous_damping * speed**2 / 2.0)
-    assert found.coulomb == pytest.approx(LEA.coulomb_friction * 4.0 * 12.0 * 0.4, rel=1e-3)
+    assert result.viscous == pytest.approx(1.1 * LEA.viscous_damping * speed**2 / 2.0)
+    assert result.coulomb == pytest.approx(LEA.coulomb_friction * 4.0 * 12.0 * 0.4, rel=1e-3)
 
 
 def test_the_winding_ends_where_heat_in_is_heat_out():
-    found = stride(LEA, swing(torque=120.0), 12.0)
-    rise = found.winding_temperature - 25.0
+    result = stride(LEA, swing(torque=120.0), 12.0)
+    rise = result.winding_temperature - 25.0
     outwards = 1.0 / (1.0 / 5.6 + 1.0 / 2.0)
-    assert rise == pytest.approx(found.joule / 1.1 * outwards)
+    assert rise == pytest.approx(result.joule / 1.1 * outwards)
     cold = stride(LEA, swing(torque=120.0), 12.0, supply=DriveSupply(winding_temperature=25.0))
-    assert found.joule / cold.joule == pytest.approx(1.0 + 0.004 * rise)
+    assert result.joule / cold.joule == pytest.approx(1.0 + 0.004 * rise)
 
 
 def test_the_best_ratio_balances_load_and_inertia():
     cycle = swing(phase=0.0, torque=20.0)  # load and inertia in quadrature: their squares add up
     bend = np.sqrt(np.mean(cycle.acceleration**2))
     closed = math.sqrt(math.sqrt(np.mean(cycle.torque**2)) / (LEA.rotor_inertia * bend) * 1.0)
-    found = best_ratio(frictionless(LEA), cycle, supply=DriveSupply(bus_voltage=500.0))
-    assert found.ratio == pytest.approx(closed, rel=1e-3)
+    result = best_ratio(frictionless(LEA), cycle, supply=DriveSupply(bus_voltage=500.0))
+    assert result.ratio == pytest.approx(closed, rel=1e-3)
 
 
 def test_a_bus_that_is_too_low_moves_the_best_ratio_down_to_its_ceiling():
@@ -94,16 +94,16 @@ def test_points_beyond_a_ceiling_are_counted_and_the_first_is_told():
 
 
 def test_a_winding_that_runs_away_is_too_hot():
-    found = stride(LEA, swing(torque=3000.0), 5.0, supply=DriveSupply(1000.0))
-    assert found.too_hot
-    assert math.isinf(found.winding_temperature)
-    assert not found.feasible
+    result = stride(LEA, swing(torque=3000.0), 5.0, supply=DriveSupply(1000.0))
+    assert result.too_hot
+    assert math.isinf(result.winding_temperature)
+    assert not result.feasible
 
 
 def test_where_nothing_is_feasible_the_least_bad_is_given():
-    found = best_ratio(U8, swing(torque=150.0), supply=DriveSupply(5.0, line_current=5.0))
-    assert not found.feasible
-    assert found.over_voltage + found.over_current > 0
+    result = best_ratio(U8, swing(torque=150.0), supply=DriveSupply(5.0, line_current=5.0))
+    assert not result.feasible
+    assert result.over_voltage + result.over_current > 0
 
 
 def test_a_held_joint_is_held_by_friction_as_far_as_that_goes():
@@ -117,21 +117,21 @@ def test_a_held_joint_is_held_by_friction_as_far_as_that_goes():
         1,
         0.0,
     )
-    found = stride(LEA, held, 10.0)
+    result = stride(LEA, held, 10.0)
     left = 10.0 / 10.0 - LEA.coulomb_friction
-    rise = found.winding_temperature - 25.0
+    rise = result.winding_temperature - 25.0
     heat = LEA.phase_resistance * (1.0 + 0.004 * rise) * (left / LEA.torque_constant) ** 2
-    assert found.joule == pytest.approx(heat)
-    assert found.coulomb == 0.0
+    assert result.joule == pytest.approx(heat)
+    assert result.coulomb == 0.0
 
 
 def test_a_lossy_transmission_costs_the_motor_going_out_and_the_joint_coming_back():
     cycle = swing(phase=0.0)  # drives throughout
-    found = stride(frictionless(LEA), cycle, 12.0, efficiency=0.8)
-    assert found.transmission == pytest.approx(found.joint_work * (1.0 / 0.8 - 1.0))
+    result = stride(frictionless(LEA), cycle, 12.0, efficiency=0.8)
+    assert result.transmission == pytest.approx(result.joint_work * (1.0 / 0.8 - 1.0))
     back = swing(phase=math.pi)  # brakes throughout
-    found = stride(frictionless(LEA), back, 12.0, efficiency=0.8)
-    assert found.transmission == pytest.approx(-found.joint_work * (1.0 - 0.8))
+    result = stride(frictionless(LEA), back, 12.0, efficiency=0.8)
+    assert result.transmission == pytest.approx(-result.joint_work * (1.0 - 0.8))
 
 
 @settings(max_examples=40)
@@ -145,13 +145,13 @@ def test_a_lossy_transmission_costs_the_motor_going_out_and_the_joint_coming_bac
     efficiency=st.floats(0.3, 1.0),
 )
 def test_nothing_is_lost_and_nothing_is_gained(motor, amplitude, torque, phase, mean, ratio, efficiency):
-    found = stride(
+    result = stride(
         motor, swing(amplitude, torque, phase, mean=mean), ratio, efficiency, DriveSupply(winding_temperature=60.0)
     )
-    spent = found.joint_work + found.joule + found.viscous + (found.coulomb or 0.0) + found.transmission
-    assert found.electrical == pytest.approx(spent, rel=1e-9, abs=1e-9 * found.joule)
-    assert found.electrical_without_return >= found.electrical - 1e-9 * abs(found.electrical)
-    assert found.transmission >= -1e-12
+    spent = result.joint_work + result.joule + result.viscous + (result.coulomb or 0.0) + result.transmission
+    assert result.electrical == pytest.approx(spent, rel=1e-9, abs=1e-9 * result.joule)
+    assert result.electrical_without_return >= result.electrical - 1e-9 * abs(result.electrical)
+    assert result.transmission >= -1e-12
 
 
 def test_what_a_motor_lacks_is_said_or_refused():

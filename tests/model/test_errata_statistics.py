@@ -32,10 +32,10 @@ def values_of(figures, parts, count=N, actuators=1):
 
 @pytest.mark.parametrize(("figures", "name", "f_of_three"), [(DAMPING, "damping", 14.00), (COULOMB, "coulomb", 72.57)])
 def test_printed_plus_minus_is_three_standard_deviations(figures, name, f_of_three):
-    found = anova(values_of(figures, 3)).test
-    assert found.f == pytest.approx(f_of_three, abs=0.005)
-    assert found.f == pytest.approx(PRINTED_F[name], rel=0.01)
-    assert (found.between, found.within) == (2, 27)
+    result = anova(values_of(figures, 3)).test
+    assert result.f == pytest.approx(f_of_three, abs=0.005)
+    assert result.f == pytest.approx(PRINTED_F[name], rel=0.01)
+    assert (result.between, result.within) == (2, 27)
 
 
 @pytest.mark.parametrize(("figures", "f_of_one"), [(DAMPING, 1.56), (COULOMB, 8.06)])
@@ -66,6 +66,6 @@ def test_f_2_27_is_30_pooled_values_and_has_no_random_factor():
 
 
 def test_f_2_15_is_18_pooled_values():
-    found = anova(values_of(((0.49, 0.06), (0.49, 0.06), (0.4905, 0.06)), 3, count=6)).test
-    assert (found.between, found.within) == (2, 15)
-    assert not found.shown
+    result = anova(values_of(((0.49, 0.06), (0.49, 0.06), (0.4905, 0.06)), 3, count=6)).test
+    assert (result.between, result.within) == (2, 15)
+    assert not result.shown

@@ -14,11 +14,11 @@ def by_name(rest_gap=0.5e-3):
 
 
 def test_a_side_carries_twelve_times_one():
-    found = preload(BEARINGS, by_name()["static load, beyond the gap at rest"], 0.75e-3)
-    assert found.force == pytest.approx(150.0)
-    assert found.side == pytest.approx(1800.0)
-    assert found.share == pytest.approx(0.5)
-    assert found.holds
+    result = preload(BEARINGS, by_name()["static load, beyond the gap at rest"], 0.75e-3)
+    assert result.force == pytest.approx(150.0)
+    assert result.side == pytest.approx(1800.0)
+    assert result.share == pytest.approx(0.5)
+    assert result.holds
 
 
 def test_a_flexure_at_rest_carries_nothing():
@@ -34,8 +34,8 @@ def test_the_static_load_is_where_it_is_told_to_be():
 
 
 def test_how_far_the_readings_are_off():
-    found = disagreement(BEARINGS, readings(BEARINGS, 0.5e-3))
-    assert found == pytest.approx(
+    result = disagreement(BEARINGS, readings(BEARINGS, 0.5e-3))
+    assert result == pytest.approx(
         {
             "static load, gap is deflection": 450.0 / 138.0 - 1.0,
             "told preload, gap is deflection": 92.0 / 300.0 - 1.0,

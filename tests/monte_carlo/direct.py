@@ -195,26 +195,26 @@ class DirectDrive(Driver):
     def _read(self) -> list[float]:
         stage, bench = self.stage, self._bench
         coupled = self.role == "test" or bench.setup == "coupled"
-        found = [math.nan] * 3 + [
+        result = [math.nan] * 3 + [
             stage.current / stage.factor + NOISE_A * bench.noise(),
             (bench.rotors.velocity if coupled else 0.0) + NOISE_RAD_S * bench.noise(),
             bench.rotors.angle if coupled else 0.0,
             1.0 if stage.mode != "off" else 0.0,
         ]
         if stage.mode in REFERENCES:
-            found[REFERENCES[stage.mode]] = stage.demand
+            result[REFERENCES[stage.mode]] = stage.demand
         fault = bench.fault
         quantity = BROKEN_READING.get(fault.kind) if fault is not None and fault.role == self.role else None
         if fault is not None and quantity and fault.on(bench.rotors.time):
             place = PLACE[quantity]
             if fault.kind == "current reads zero":
-                found[place] = 0.0
+                result[place] = 0.0
             elif fault.kind == "noisy current":
-                found[place] += fault.size * bench.noise()
+                result[place] += fault.size * bench.noise()
             elif self._last:
-                found[place] = self._last[place]
-        self._last = found
-        return found
+                result[place] = self._last[place]
+        self._last = result
+        return result
 
 
 class DirectSensor(Driver):

@@ -91,8 +91,8 @@ def test_the_guard_as_it_is_holds_this_plant(seed):
 def test_a_guard_that_is_wrong_is_found(guard_of):
     peaks = (held_at(plant_of(seed), guard_of)[0] for seed in PLANTS)
     told = ({"kind": "direct", "fault": "", "energised": [], "peak_degC": peak} for peak in peaks)
-    found = next(filter(None, map(violations, told)))
-    assert found[0].startswith("hottest phase at")
+    result = next(filter(None, map(violations, told)))
+    assert result[0].startswith("hottest phase at")
 
 
 SELDOM = {"stuck velocity", "stuck angle", "noisy current"}  # long: seconds each

@@ -154,11 +154,11 @@ def _heat(trials: list[Trial]) -> None:
     histories = [History(trial.truth, trial.parts) for trial in trials]
     undisturbed = [trial for trial in trials if trial.free is not None]
     histories += [History(t.truth, [*t.parts[:-1], t.free]) for t in undisturbed if t.free is not None]
-    found = hottest(histories)
-    for trial, (whole, own) in zip(trials, found, strict=False):
+    result = hottest(histories)
+    for trial, (whole, own) in zip(trials, result, strict=False):
         trial.told["peak_degC"] = round(whole, 3)
         trial.told["undisturbed_degC"] = round(own, 3)
-    for trial, (_, own) in zip(undisturbed, found[len(trials) :], strict=True):
+    for trial, (_, own) in zip(undisturbed, result[len(trials) :], strict=True):
         trial.told["undisturbed_degC"] = round(own, 3)
     for trial in trials:
         if needless(trial.told):
@@ -168,20 +168,20 @@ def _heat(trials: list[Trial]) -> None:
 def _at_the_corner(trial: Trial) -> float:
     """How hot the same protocol makes a cold plant of the box whose tolerances all add to its heat [degC]."""
     worst = [at_the_corner(offset) for offset in OFFSETS_RAD]
-    found = hottest([History(truth, [run_free(trial.plan, truth, trial.seed)]) for truth in worst])
-    return max(whole for whole, _ in found)
+    result = hottest([History(truth, [run_free(trial.plan, truth, trial.seed)]) for truth in worst])
+    return max(whole for whole, _ in result)
 
 
 def violations(told: Mapping[str, Any]) -> list[str]:
     """What must not be of a plant inside the tolerances; a drive that has frozen can be stopped by nobody."""
     if told["kind"] == "outside" or told["fault"] in ("frozen drive", "frozen_drive"):
         return [f"run file: {text}" for text in told.get("file_faults", [])]
-    found = []
+    results = []
     if not told["peak_degC"] <= LIMIT_DEGC:
-        found.append(f"hottest phase at {told['peak_degC']:.2f} degC")
+        results.append(f"hottest phase at {told['peak_degC']:.2f} degC")
     if told["energised"]:
-        found.append(f"left energised: {', '.join(told['energised'])}")
-    return found + [f"run file: {text}" for text in told.get("file_faults", [])]
+        results.append(f"left energised: {', '.join(told['energised'])}")
+    return results + [f"run file: {text}" for text in told.get("file_faults", [])]
 
 
 def needless(told: Mapping[str, Any]) -> bool | None:

@@ -44,10 +44,10 @@ def hottest(histories: Sequence[History]) -> list[tuple[float, float]]:
             piece = current[first : first + count]
             currents[: len(piece), lane] = piece
             speeds[: len(piece), lane] = speed[first : first + count]
-        found = plant.run(currents, speeds)
-        whole = np.maximum(whole, found.max(axis=0))
+        result = plant.run(currents, speeds)
+        whole = np.maximum(whole, result.max(axis=0))
         late = np.arange(first, first + count)[:, None] >= begins
-        own = np.maximum(own, np.where(late, found, -np.inf).max(axis=0))
+        own = np.maximum(own, np.where(late, result, -np.inf).max(axis=0))
     pairs = np.stack([whole, own], axis=1).reshape(len(histories), len(ROLES), 2).max(axis=1)
     return [(float(a), float(b)) for a, b in pairs]
 

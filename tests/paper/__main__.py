@@ -123,14 +123,14 @@ def results(folder: Path) -> list[Result]:
 
 def beside(result: Result) -> list[Row]:
     """Every result that has a true value, in the order of its analysis."""
-    found = []
+    outcomes = []
     known = {condition: truths(result.experiment, condition, result) for _, condition in result.groups}
     for item in result.results:
         true = known[item.condition].get(item.name)
         if true is not None:
             printed = paper_figures(result.experiment, item.condition).get(item.name, "")
-            found.append(Row(result.experiment, item, printed, true))
-    return found
+            outcomes.append(Row(result.experiment, item, printed, true))
+    return outcomes
 
 
 if __name__ == "__main__":

@@ -34,8 +34,8 @@ def test_every_trial_is_planned_within_the_ends_and_they_suffice_for_the_resolut
     if not span:
         return
     ends = f"from_current_A: {first}, to_current_A: {second}, resolution_A: {part * span!r}"
-    found = plan(bisect(ends, f"hold_s: 1, settle_s: 0.5, rest_s: {rest!r}"))
-    trials = [segment for segment in segments(found) if segment.trial]
+    result = plan(bisect(ends, f"hold_s: 1, settle_s: 0.5, rest_s: {rest!r}"))
+    trials = [segment for segment in segments(result) if segment.trial]
     low, high = min(first, second), max(first, second)
     assert [trial.setpoints["test"].at(0.0) for trial in trials[:2]] == [first, second]
     assert all(trial.setpoints["test"] == SoughtSetpoint(low, high) for trial in trials[2:])
@@ -43,16 +43,16 @@ def test_every_trial_is_planned_within_the_ends_and_they_suffice_for_the_resolut
     halvings = len(trials) - 2
     assert span / 2**halvings <= part * span * (1 + 1e-6)
     assert halvings == 0 or span / 2 ** (halvings - 1) > part * span * (1 - 1e-6)
-    assert found.peaks() == {("test", "q_axis_current_reference"): max(abs(first), abs(second))}
-    assert found.duration_s == pytest.approx(len(trials) * (1 + max(rest, 0.01)))
-    assert found.adaptive
+    assert result.peaks() == {("test", "q_axis_current_reference"): max(abs(first), abs(second))}
+    assert result.duration_s == pytest.approx(len(trials) * (1 + max(rest, 0.01)))
+    assert result.adaptive
 
 
 def test_behind_every_trial_the_current_is_zero():
-    found = segments(plan(bisect()))
-    assert [segment.name for segment in found] == ["loose", "rest"] * 5
-    assert all(rest.setpoints["test"].high == rest.setpoints["test"].low == 0 for rest in found[1::2])
-    assert {rest.duration_s for rest in found[1::2]} == {0.01}
+    result = segments(plan(bisect()))
+    assert [segment.name for segment in result] == ["loose", "rest"] * 5
+    assert all(rest.setpoints["test"].high == rest.setpoints["test"].low == 0 for rest in result[1::2])
+    assert {rest.duration_s for rest in result[1::2]} == {0.01}
 
 
 def test_a_span_of_a_power_of_two_resolutions_takes_no_trial_more_by_rounding():
@@ -133,22 +133,22 @@ def test_a_condition_that_cannot_be_is_refused_at_its_key(steps, message):
 
 
 def test_a_condition_encloses_its_steps_and_they_count_as_done():
-    found = plan(
+    result = plan(
         bisect(),
         when(STEPS, "set: {role: test, current_A: 2}", "hold: {duration_s: 7}", "set: {role: test, current_A: 0}"),
     )
-    marks = [action for action in found.actions if isinstance(action, When | EndWhen)]
+    marks = [action for action in result.actions if isinstance(action, When | EndWhen)]
     assert [type(mark) for mark in marks] == [When, EndWhen] * 2
     assert str(marks[2].condition) == "loose is bracketed"
-    assert found.duration_s == pytest.approx(5 * 1.01 + 7)
-    assert found.peaks()["test", "q_axis_current_reference"] == 2
+    assert result.duration_s == pytest.approx(5 * 1.01 + 7)
+    assert result.peaks()["test", "q_axis_current_reference"] == 2
 
 
 def test_conditions_nest_and_repeat():
     inner = when("step: loose, outcome: not_identifiable", REST)
-    found = plan(f"repeat: {{times: 3, steps: [{{{bisect()}}}, {{{when(STEPS, inner)}}}]}}")
+    result = plan(f"repeat: {{times: 3, steps: [{{{bisect()}}}, {{{when(STEPS, inner)}}}]}}")
     depth, deepest = 0, 0
-    for action in found.actions:
+    for action in result.actions:
         depth += isinstance(action, When) - isinstance(action, EndWhen)
         deepest = max(deepest, depth)
         assert depth >= 0
@@ -165,11 +165,11 @@ def test_plan_and_check_tell_trials_and_bounds(tmp_path):
         assert "at most 0:00:15" in shown.output
     assert "test 0.1 .. 0.9 A, at most 1 s, until mean of test velocity" in shown.output
     shown = CliRunner().invoke(app, ["protocol", "plan", str(path), "--bench", "emulated", "--json"])
-    told = json.loads(shown.output)
-    assert len(told["searches"]) == 2
+    answer = json.loads(shown.output)
+    assert len(answer["searches"]) == 2
     assert all(
-        25 < told["hottest_degC"][role] < 60 and math.isfinite(told["hottest_degC"][role])
-        for role in told["hottest_degC"]
+        25 < answer["hottest_degC"][role] < 60 and math.isfinite(answer["hottest_degC"][role])
+        for role in answer["hottest_degC"]
     )
 
 

@@ -50,24 +50,24 @@ def written(step):
 
 @given(sweeps(), numbers)
 def test_a_sweep_stays_within_its_levels_and_overshoot(sweep, start):
-    found = plan(f"set: {{role: test, current_A: {start}}}", f"sweep: {written(sweep)}")
+    result = plan(f"set: {{role: test, current_A: {start}}}", f"sweep: {written(sweep)}")
     overshoot = sweep.get("overshoot_A", 0.0)
     meant = [level * sweep["sign"] for level in sweep["levels_A"]]
     low, high = min(*meant, start, 0.0) - overshoot, max(*meant, start, 0.0) + overshoot
-    for segment in segments(found):
+    for segment in segments(result):
         profile = segment.setpoints["test"]
         assert low <= profile.low <= profile.high <= high
         if segment.name == "hold":
             assert profile.low in meant
             assert segment.parameters["current_A"] == profile.low
             assert segment.duration_s == sweep["hold_s"]
-    assert found.peaks()["test", "q_axis_current_reference"] <= max(abs(low), abs(high))
+    assert result.peaks()["test", "q_axis_current_reference"] <= max(abs(low), abs(high))
 
 
 @given(sweeps())
 def test_every_level_is_held_in_every_repeat(sweep):
-    found = plan(f"sweep: {written(sweep)}")
-    held = [s.setpoints["test"].low for s in segments(found) if s.name == "hold"]
+    result = plan(f"sweep: {written(sweep)}")
+    held = [s.setpoints["test"].low for s in segments(result) if s.name == "hold"]
     passes = 2 if sweep["visit"] == "both" else 1
     whole = sorted([level * sweep["sign"] for level in sweep["levels_A"]] * passes * sweep["repeats"])
     if passes == 2 and not sweep.get("overshoot_A"):
@@ -103,25 +103,25 @@ def test_directions_are_those_of_the_setpoints(sweep):
 
 @given(st.lists(lists, min_size=2, max_size=2), st.integers(1, 3), st.floats(0, 5))
 def test_a_grid_holds_every_combination_in_every_repeat(levels, repeats, rest):
-    found = plan(
+    result = plan(
         f"grid: {{axes: [{{role: load, levels_rad_s: {levels[0]}}}, {{role: test, levels_A: {levels[1]}}}],"
         f" hold_s: 1, rest_s: {rest}, repeats: {repeats}}}"
     )
-    held = [(s.setpoints["load"].low, s.setpoints["test"].low) for s in segments(found) if s.name == "hold"]
+    held = [(s.setpoints["load"].low, s.setpoints["test"].low) for s in segments(result) if s.name == "hold"]
     assert held == list(itertools.product(*levels)) * repeats
 
 
 @given(st.lists(sweeps(), min_size=1, max_size=3), st.integers(1, 3))
 def test_the_timeline_has_no_gaps(several, times):
     inner = ", ".join(f"{{sweep: {written(sweep)}}}" for sweep in several)
-    found = plan("tare: {samples: 3}", f"repeat: {{times: {times}, steps: [{inner}, {{prompt: Look}}]}}")
-    rows = found.timeline()
-    assert len(rows) == len(found.actions)
+    result = plan("tare: {samples: 3}", f"repeat: {{times: {times}, steps: [{inner}, {{prompt: Look}}]}}")
+    rows = result.timeline()
+    assert len(rows) == len(result.actions)
     assert rows[0].start_s == 0
     for row, following in itertools.pairwise(rows):
         assert following.start_s == pytest.approx(row.start_s + row.duration_s, abs=1e-9)
-    assert rows[-1].start_s + rows[-1].duration_s == pytest.approx(found.duration_s)
-    assert found.duration_s == pytest.approx(math.fsum(s.duration_s for s in segments(found)) + 3 / found.rate_Hz)
+    assert rows[-1].start_s + rows[-1].duration_s == pytest.approx(result.duration_s)
+    assert result.duration_s == pytest.approx(math.fsum(s.duration_s for s in segments(result)) + 3 / result.rate_Hz)
 
 
 @given(lists, st.floats(0.5, 20), st.integers(1, 4), st.sampled_from(["up", "down", "both"]))
@@ -209,14 +209,14 @@ def test_whatever_stands_in_a_file_is_a_plan_or_an_input_error(steps, parameters
     head = {"name": "a", "setup": "free", "rate_Hz": 50, "parameters": parameters, "conditions": conditions}
     source = pyyaml.safe_dump({**head, "steps": [{"mode": {"test": "current", "load": "angle"}}, *steps]})
     try:
-        found = expand_document(yamlfile.parse(source, "a.yaml"), Path("/nowhere"), overrides, "hot")
+        result = expand_document(yamlfile.parse(source, "a.yaml"), Path("/nowhere"), overrides, "hot")
     except InputError as error:
         assert error.faults
         assert all(len(fault.splitlines()) == 1 for fault in error.faults)
         assert len(set(error.faults)) == len(error.faults)
     else:
-        assert isinstance(found, Plan)
-        for segment in segments(found):
+        assert isinstance(result, Plan)
+        for segment in segments(result):
             assert isinstance(segment, Segment)
             assert math.isfinite(segment.duration_s)
             assert segment.duration_s > segment.settle_s or segment.duration_s == segment.settle_s == 0

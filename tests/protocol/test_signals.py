@@ -10,8 +10,8 @@ RATE = 200
 
 
 def sampled(keys, folder=None, rate_Hz=RATE, **head):  # noqa: N803
-    found = plan(f"signal: {{role: test, {keys}}}", rate_Hz=rate_Hz, **({"folder": folder} if folder else {}), **head)
-    return segments(found)[0]
+    result = plan(f"signal: {{role: test, {keys}}}", rate_Hz=rate_Hz, **({"folder": folder} if folder else {}), **head)
+    return segments(result)[0]
 
 
 def values(keys, **more):
@@ -86,18 +86,18 @@ def test_noise_has_its_spread_band_and_seed():
 
 
 def test_a_signal_tells_what_it_is_and_where_it_leaves_the_role():
-    found = plan(
+    result = plan(
         "repeat: {times: 2, steps: [{signal: {role: test, kind: step, from_current_A: 0, to_current_A: 5, at_s: 0.5,"
         " duration_s: 1, settle_s: 0.25}}, {ramp: {role: test, to_current_A: 0, rate_A_s: 5}}]}"
     )
-    first, ramp, second, _ = segments(found)
+    first, ramp, second, _ = segments(result)
     assert first.parameters == {
         "kind": "step", "from_current_A": 0, "to_current_A": 5, "at_s": 0.5, "role": "test", "repeat": 1
     }  # fmt: skip
     assert first.settle_s == 0.25
     assert ramp.duration_s == 1
     assert second.setpoints["test"] is first.setpoints["test"]
-    assert found.peaks() == {("test", "q_axis_current_reference"): 5}
+    assert result.peaks() == {("test", "q_axis_current_reference"): 5}
 
 
 @pytest.mark.parametrize(
@@ -261,8 +261,8 @@ def test_references_that_cannot_be(keys, words):
 
 def passes(more):
     keys = f"kind: noise, std_A: 1, cutoff_Hz: 20, order: 4, seed: 7, duration_s: 1{more}"
-    found = segments(plan(f"repeat: {{times: 3, steps: [{{signal: {{role: test, {keys}}}}}]}}", rate_Hz=RATE))
-    return [segment.setpoints["test"].values for segment in found], [segment.parameters["seed"] for segment in found]
+    result = segments(plan(f"repeat: {{times: 3, steps: [{{signal: {{role: test, {keys}}}}}]}}", rate_Hz=RATE))
+    return [segment.setpoints["test"].values for segment in result], [segment.parameters["seed"] for segment in result]
 
 
 def test_noise_is_the_same_in_each_pass_unless_it_is_to_be_fresh():

@@ -15,11 +15,11 @@ def protocol(*steps, setup="heated"):
 
 
 def test_levels_and_off_in_order():
-    found = read(protocol(ON, "hold: {duration_s: 5}", "supply: {test: off}"))
-    assert found.actions[0] == SetSupply({"test": (8.0, 9.0)})
-    assert found.actions[2] == SetSupply({"test": None})
-    assert found.peaks() == {("test", "line_current"): 9.0}
-    assert [row.setpoints for row in found.timeline()] == ["test 8 V, 9 A", "", "test off"]
+    result = read(protocol(ON, "hold: {duration_s: 5}", "supply: {test: off}"))
+    assert result.actions[0] == SetSupply({"test": (8.0, 9.0)})
+    assert result.actions[2] == SetSupply({"test": None})
+    assert result.peaks() == {("test", "line_current"): 9.0}
+    assert [row.setpoints for row in result.timeline()] == ["test 8 V, 9 A", "", "test off"]
 
 
 def test_the_largest_current_is_the_peak():

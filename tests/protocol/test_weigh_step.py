@@ -9,11 +9,11 @@ from .writing import plan
 
 
 def test_weights_rise_and_fall_with_none_at_both_ends():
-    found = plan(
+    result = plan(
         "weigh: {masses_kg: [2, 1], arm_m: 0.5, hold_s: 5, settle_s: 2, repeats: 2, sign: -1}", mode="{test: off}"
     )
-    hung = [action for action in found.actions if isinstance(action, Hang)]
-    holds = [action for action in found.actions if isinstance(action, Segment)]
+    hung = [action for action in result.actions if isinstance(action, Hang)]
+    holds = [action for action in result.actions if isinstance(action, Segment)]
     assert [hold.parameters["mass_kg"] for hold in holds] == [0, 1, 2, 1, 0] * 2
     assert [hold.parameters["direction"] for hold in holds[:5]] == ["rising"] * 3 + ["falling"] * 2
     assert [hold.parameters["repeat"] for hold in holds] == [1] * 5 + [2] * 5
@@ -22,7 +22,7 @@ def test_weights_rise_and_fall_with_none_at_both_ends():
     assert "2 kg at 0.5 m, pulling in the negative sense" in hung[2].text
     assert hung[0].text == "Take all weights off the arm"
     assert {(hold.duration_s, hold.settle_s) for hold in holds} == {(5, 2)}
-    assert found.timeline()[1].name == "weigh"
+    assert result.timeline()[1].name == "weigh"
 
 
 @pytest.mark.parametrize(

@@ -68,8 +68,8 @@ def words(element):
 
 
 def table(root, cls="datasheet"):
-    found = next(one for one in root.iter("table") if one.get("class") == cls)
-    return [[words(cell) for cell in row] for row in found.iter("tr")]
+    result = next(one for one in root.iter("table") if one.get("class") == cls)
+    return [[words(cell) for cell in row] for row in result.iter("tr")]
 
 
 @pytest.fixture(scope="module")
@@ -141,12 +141,14 @@ def test_a_run_that_spoils_its_group_is_left_out_alone(tmp_path):
     bench = Bench(tmp_path)
     bench.friction(f=0.25)
     spoilt = bench.run("friction", [(0.6, "")], {"q_axis_current": [0.6]}, mechanical="free")
-    found = of(tmp_path).sets[0]
-    assert [entry.fault for entry in found.entries if entry.path == spoilt] == [
+    result = of(tmp_path).sets[0]
+    assert [entry.fault for entry in result.entries if entry.path == spoilt] == [
         "no velocity of test; the run has q_axis_current of test"
     ]
-    assert found.results[0].result.find("coulomb_friction").value == pytest.approx(0.25)
-    assert [entry.path for entry in found.results[0].entries] == [path for path in tmp_path.iterdir() if path != spoilt]
+    assert result.results[0].result.find("coulomb_friction").value == pytest.approx(0.25)
+    assert [entry.path for entry in result.results[0].entries] == [
+        path for path in tmp_path.iterdir() if path != spoilt
+    ]
 
 
 def test_values_that_are_not_those_of_their_checksums_give_nothing(tmp_path):
@@ -222,9 +224,11 @@ def test_two_sets_stand_side_by_side_with_their_difference(tmp_path):
     row = next(row for row in table(root) if row[:2] == ["Coulomb friction", "design"])
     assert float(row[4].split()[0]) == pytest.approx(0.03, abs=0.003)
     assert row[-1] == "A1 , B1"
-    found = next(one for one in sheet.sections[0].rows["friction"] if one.name == "coulomb_friction" and one.difference)
-    first, second = (cell.estimate for cell in found.cells)
-    assert found.difference.std == pytest.approx(np.hypot(first.std, second.std))
+    result = next(
+        one for one in sheet.sections[0].rows["friction"] if one.name == "coulomb_friction" and one.difference
+    )
+    first, second = (cell.estimate for cell in result.cells)
+    assert result.difference.std == pytest.approx(np.hypot(first.std, second.std))
     captions = [words(one) for one in root.iter("figcaption")]
     assert captions[:2] == [
         "spring: torque of the current over speed, a1, design; A1",

@@ -55,11 +55,11 @@ def test_the_page_says_what_was_planted_and_the_document_is_json():
     root = ElementTree.fromstring(page(shown, 7))
     headings = ["".join(h.itertext()) for h in root.iter("h2")]
     assert headings[:3] == ["Planted and named", "Causes", "What each effect explains"]
-    said = json.loads(json.dumps(demonstration_json(shown, 7, FILES), allow_nan=False))
-    assert said["planted"] == {
+    document = json.loads(json.dumps(demonstration_json(shown, 7, FILES), allow_nan=False))
+    assert document["planted"] == {
         "effect": "saturation",
         "strength": "plain",
         "parameters": {"loss": 0.2, "exponent": 2.0},
     }
-    assert said["seed"] == 7
-    assert said["answer"]["format"] == "leactl-gap"
+    assert document["seed"] == 7
+    assert document["answer"]["format"] == "leactl-gap"

@@ -51,18 +51,18 @@ def pages(tmp_path_factory):
     """By command: the page of the run as it was, and as a stranger made it."""
     folder = tmp_path_factory.mktemp("run")
     run = short_run("friction", folder)
-    found = {}
+    results = {}
     for title, arguments in COMMANDS.items():
-        found[title] = [(folder / f"{title}.html".replace(" ", "-"))]
-        assert leactl(*arguments(run, found[title][0])).returncode == 0
+        results[title] = [(folder / f"{title}.html".replace(" ", "-"))]
+        assert leactl(*arguments(run, results[title][0])).returncode == 0
     assert leactl("runs", "annotate", run, SCRIPT, "--author", SCRIPT).returncode == 0
     spoil(run)
     for title, arguments in COMMANDS.items():
         page = folder / f"{title}-spoilt.html".replace(" ", "-")
         done = leactl(*arguments(run, page))
         assert done.returncode == 0, done.stderr
-        found[title].append(page)
-    return {title: [page.read_text(encoding="utf-8") for page in both] for title, both in found.items()}
+        results[title].append(page)
+    return {title: [page.read_text(encoding="utf-8") for page in both] for title, both in results.items()}
 
 
 def elements(page):

@@ -29,11 +29,11 @@ OF_THE_CAMERA = 0.01  # the emulated one reads half a percent of the rise too mu
 
 def off(parameters):
     """How far each is from the truth, beside its three standard errors and the camera's own error."""
-    found = {one["parameter"]: one for one in parameters}
-    assert found.keys() == TRUE.keys()
+    results = {one["parameter"]: one for one in parameters}
+    assert results.keys() == TRUE.keys()
     return {
         name: abs(one["fitted"] / TRUE[name] - 1.0) - 3.0 * one["std"] / TRUE[name] - OF_THE_CAMERA
-        for name, one in found.items()
+        for name, one in results.items()
     }
 
 
@@ -105,8 +105,8 @@ def test_regions_count_by_their_phases_however_many_places_they_have(tmp_path):
 
 
 def test_the_resistance_goes_with_the_phases_that_carry_the_current(tmp_path):
-    found = parameters_of(HeatedBench(tmp_path).run(heat_s=900.0, cool_s=900.0))["phase_resistance"]
-    assert abs(found.fitted / 0.264 - 1.0) < 0.003  # by the mean of all phases 1.7 %
+    result = parameters_of(HeatedBench(tmp_path).run(heat_s=900.0, cool_s=900.0))["phase_resistance"]
+    assert abs(result.fitted / 0.264 - 1.0) < 0.003  # by the mean of all phases 1.7 %
 
 
 def test_each_actuator_has_its_own_network(tmp_path):

@@ -72,9 +72,9 @@ def test_likeness_finds_the_offset_and_says_how_well(noise):
     errors, claims = [], []
     for seed in range(6):
         own, reference, offset, rate = pair(seed, noise)
-        found = align_by_similarity(own, reference, 2.0, "a and b", near_s=5.0, drift_within=DRIFT)
-        errors.append(found.on_run(np.array([8.0]))[0] - (offset + rate * 8.0))
-        claims.append(found.uncertainty(8.0))
+        result = align_by_similarity(own, reference, 2.0, "a and b", near_s=5.0, drift_within=DRIFT)
+        errors.append(result.on_run(np.array([8.0]))[0] - (offset + rate * 8.0))
+        claims.append(result.uncertainty(8.0))
     assert np.sum(np.abs(errors) < claims) >= 5
     assert np.median(claims) < 4 * np.sqrt(np.mean(np.square(errors)))
     assert np.median(claims) < 0.005
@@ -161,23 +161,23 @@ def test_a_signal_that_repeats_itself_within_the_search_is_refused_with_two_shif
 def test_a_signal_that_repeats_itself_is_aligned_where_the_search_is_shorter_than_its_period(signal):
     for offset in (20.3, 19.95, 20.55):
         own, reference = seen_twice(signal, offset)
-        found = align_by_similarity(own, reference, 0.4, "a and b", near_s=20.2, drift_within=DRIFT, systematic=UNSEEN)
-        assert found.on_run(np.array([8.0]))[0] - 8.0 == pytest.approx(offset, abs=3 * found.uncertainty(8.0))
+        result = align_by_similarity(own, reference, 0.4, "a and b", near_s=20.2, drift_within=DRIFT, systematic=UNSEEN)
+        assert result.on_run(np.array([8.0]))[0] - 8.0 == pytest.approx(offset, abs=3 * result.uncertainty(8.0))
 
 
 @pytest.mark.parametrize("signal", [chirp, stepping, marked, rustle])
 def test_a_signal_that_never_repeats_itself_whole_is_aligned_over_a_wide_search(signal):
     for offset in (16.2, 20.3037):
         own, reference = seen_twice(signal, offset)
-        found = align_by_similarity(own, reference, 5.0, "a and b", near_s=20.0, drift_within=DRIFT, systematic=UNSEEN)
-        assert found.on_run(np.array([8.0]))[0] - 8.0 == pytest.approx(offset, abs=3 * found.uncertainty(8.0))
+        result = align_by_similarity(own, reference, 5.0, "a and b", near_s=20.0, drift_within=DRIFT, systematic=UNSEEN)
+        assert result.on_run(np.array([8.0]))[0] - 8.0 == pytest.approx(offset, abs=3 * result.uncertainty(8.0))
 
 
 @pytest.mark.parametrize(("signal", "offset"), [(stepping, -12.0), (chirp, 53.0)])
 def test_a_record_of_which_the_run_saw_a_part_is_aligned_in_spite_of_shorter_parts_that_fit(signal, offset):
     own, reference = seen_twice(signal, offset, noise=0.05)
-    found = align_by_similarity(own, reference, 14.0, "a and b", near_s=offset + 3.0, drift_within=DRIFT)
-    assert found.on_run(np.array([8.0]))[0] - 8.0 == pytest.approx(offset, abs=3 * found.uncertainty(8.0))
+    result = align_by_similarity(own, reference, 14.0, "a and b", near_s=offset + 3.0, drift_within=DRIFT)
+    assert result.on_run(np.array([8.0]))[0] - 8.0 == pytest.approx(offset, abs=3 * result.uncertainty(8.0))
 
 
 @pytest.mark.parametrize("signal", [sine(0.7), fading, creeping, climbing, square, marked, chirp, stepping])
@@ -189,12 +189,12 @@ def test_whatever_is_answered_is_true(signal):
         own, reference = seen_twice(signal, offset, noise, seed, rng.uniform(4, 16), rate)
         try:
             near = offset + within * rng.uniform(-0.9, 0.9)
-            found = align_by_similarity(own, reference, within, "a and b", near, DRIFT, UNSEEN)
+            result = align_by_similarity(own, reference, within, "a and b", near, DRIFT, UNSEEN)
         except InputError:
             continue
         at = 0.5 * own[0][-1]
-        error = found.on_run(np.array([at]))[0] - offset - rate * at
-        assert abs(error) < 3 * found.uncertainty(at), (seed, offset, within, noise)
+        error = result.on_run(np.array([at]))[0] - offset - rate * at
+        assert abs(error) < 3 * result.uncertainty(at), (seed, offset, within, noise)
 
 
 def heating(time, starts, ends):
@@ -223,9 +223,9 @@ def test_onsets_of_heating_and_cooling_tie_a_camera_with_its_drift():
         seen = heating(offset + rate * own, starts, ends) + 0.1 * rng.normal(size=len(own))
         ties = ties_by_onset(own, np.round(seen, 2), base, current, 4.0, 40.0, 60.0, 5.0)
         assert len(ties) == 2
-        found = fit_alignment("x", ties, DRIFT, 0.0)
-        errors.append(found.on_run(np.array([300.0]))[0] - (offset + rate * 300.0))
-        claims.append(found.uncertainty(300.0))
+        result = fit_alignment("x", ties, DRIFT, 0.0)
+        errors.append(result.on_run(np.array([300.0]))[0] - (offset + rate * 300.0))
+        claims.append(result.uncertainty(300.0))
     assert np.sum(np.abs(errors) < claims) >= 5
     assert np.median(claims) < 0.06
 

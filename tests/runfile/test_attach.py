@@ -106,8 +106,8 @@ def test_a_given_offset_puts_the_record_beside_what_the_run_holds(run, export, b
     before = everything(run)
     answer = at_the_shell(run, export(elapsed), bench({"offset_s": 2.5, "offset_within_s": 0.2}), "--json")
     assert answer.returncode == 0, answer.stderr
-    told = json.loads(answer.stdout)
-    assert (told["attached"], told["rows"], told["rows_left_out"]) == (True, 1500, 0)
+    document = json.loads(answer.stdout)
+    assert (document["attached"], document["rows"], document["rows_left_out"]) == (True, 1500, 0)
     assert verify(run) == []
     after = everything(run)
     assert {place: after[place] for place in before} == before
@@ -169,8 +169,8 @@ def test_check_tells_and_changes_nothing(run, export, bench):
 
 
 def test_rows_outside_the_run_are_left_out_and_told(run, export, bench):
-    found = attach(run, export(elapsed, frames=2400), bench({"offset_s": -10.0, "offset_within_s": 0.2}))
-    assert "1799 rows, 0 to 59.933 s of the run; 601 rows outside" in found.summary_lines()[-1]  # of -10 to 70 s
+    result = attach(run, export(elapsed, frames=2400), bench({"offset_s": -10.0, "offset_within_s": 0.2}))
+    assert "1799 rows, 0 to 59.933 s of the run; 601 rows outside" in result.summary_lines()[-1]  # of -10 to 70 s
     with Run.open(run) as opened:
         assert opened.rows["camera"] == 1799
         assert opened.time("camera")[0] >= 0.0

@@ -96,11 +96,11 @@ def test_back_drive_of_an_imported_matrix_is_that_of_the_run(back_drive, way):
         .replace("0.95", "0.45")
         .replace("0.5,", "0.1,"),
     }[way]
-    found = results(imported(here, source, BACK_DRIVE + steps), "back-drive")
+    result = results(imported(here, source, BACK_DRIVE + steps), "back-drive")
     for name in ("coulomb_friction", "viscous_damping", "quadratic_drag"):
-        assert abs(found[name]["value"] - expected[name]["value"]) < expected[name]["std"]
+        assert abs(result[name]["value"] - expected[name]["value"]) < expected[name]["std"]
     if not way.startswith("holds"):
-        assert found["breakaway_torque"]["value"] == pytest.approx(expected["breakaway_torque"]["value"], rel=1e-3)
+        assert result["breakaway_torque"]["value"] == pytest.approx(expected["breakaway_torque"]["value"], rel=1e-3)
 
 
 @pytest.fixture(scope="module")
@@ -116,8 +116,8 @@ def torque_constant(tmp_path_factory):
 
 def test_torque_constant_of_an_imported_matrix_is_that_of_the_run(torque_constant):
     here, source, expected = torque_constant
-    found = results(imported(here, source, TORQUE_CONSTANT), "torque-constant")["torque_constant"]
-    assert abs(found["value"] - expected["value"]) < 2.0 * expected["std"]
+    result = results(imported(here, source, TORQUE_CONSTANT), "torque-constant")["torque_constant"]
+    assert abs(result["value"] - expected["value"]) < 2.0 * expected["std"]
 
 
 def test_the_uncertainty_of_an_instrument_s_scale_is_part_of_an_imported_result(torque_constant):

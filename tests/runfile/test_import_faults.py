@@ -273,9 +273,9 @@ def test_a_check_tells_what_would_be_written_and_writes_nothing(folder):
     assert "stream loop: 400 rows, 0 .. 1.995 s, every 0.005 s" in said
     assert f"angle test angle {np.delete(ANGLE, 6).min():.6g} .. {ANGLE.max():.6g} rad, 1 missing" in said
     assert said[-2:] == ["1 steps", "hold 0.5 .. 1.5 s current_A 0.25, direction rising"]
-    told = json.loads(leactl(*arguments, "--check", "--json").stdout)
-    assert (told["files"], told["written"]) == ([str(folder / "out" / "a.h5")], False)
-    [run] = told["runs"]
+    answer = json.loads(leactl(*arguments, "--check", "--json").stdout)
+    assert (answer["files"], answer["written"]) == ([str(folder / "out" / "a.h5")], False)
+    [run] = answer["runs"]
     assert run["streams"]["loop"]["channels"][0]["missing"] == 1
     assert run["steps"][0]["parameters"] == {"current_A": 0.25, "direction": "rising"}
     assert sorted(folder.iterdir()) == before

@@ -41,10 +41,10 @@ def test_a_setpoint_holds_exactly_but_for_strays_and_what_is_missing(levels, see
     values[strays] += size * random.integers(-3, 4, len(strays))
     missing = (random.random(len(values)) < 0.05) & (np.arange(len(values)) % ROWS > 2)
     values[missing] = np.nan
-    found = find_holds(stamps(values), values, 3.9, 1.0, is_setpoint)
+    result = find_holds(stamps(values), values, 3.9, 1.0, is_setpoint)
     expected = [(ROWS * k, ROWS * (k + 1), size * level) for k, level in enumerate(levels)]
-    assert [(hold.first, hold.after, hold.level) for hold in found] == expected
-    assert [hold.before for hold in found[1:]] == pytest.approx([size * level for level in levels[:-1]])
+    assert [(hold.first, hold.after, hold.level) for hold in result] == expected
+    assert [hold.before for hold in result[1:]] == pytest.approx([size * level for level in levels[:-1]])
 
 
 @pytest.mark.parametrize(("rows", "holds"), [(1, [(0, 900)]), (2, [(0, 400), (402, 900)]), (9, [(0, 400), (409, 900)])])
@@ -58,9 +58,9 @@ def test_two_rows_off_a_setpoint_end_its_hold_and_one_does_not(rows, holds):
 def test_a_long_silence_ends_a_hold_and_a_short_one_does_not(is_setpoint):
     values = np.repeat([1.0, 2.0, 2.0], ROWS)
     values[100:110] = values[300:500] = values[795:1000] = values[1190:] = np.nan
-    found = find_holds(stamps(values), values, 1.8, 0.5, is_setpoint)
-    assert [(hold.first, hold.after) for hold in found] == [(0, 300), (500, 795), (1000, 1200)]
-    assert all(math.isnan(hold.before) for hold in found)
+    result = find_holds(stamps(values), values, 1.8, 0.5, is_setpoint)
+    assert [(hold.first, hold.after) for hold in result] == [(0, 300), (500, 795), (1000, 1200)]
+    assert all(math.isnan(hold.before) for hold in result)
 
 
 @given(
@@ -78,12 +78,12 @@ def test_levels_of_a_reading_are_found_whatever_the_colour_of_its_noise(levels, 
     loud = 1.0 + speed * np.abs(true) / 9.0  # it grows with the level
     values = size * (true + noise * loud * coloured(len(true), lifetime, random))
     values[random.random(len(values)) < 0.05] = np.nan
-    found = find_holds(stamps(values), values, 3.5, 1.0, False)
-    assert [hold.level / size for hold in found] == pytest.approx(levels, abs=0.1)
-    for number, hold in enumerate(found):
+    result = find_holds(stamps(values), values, 3.5, 1.0, False)
+    assert [hold.level / size for hold in result] == pytest.approx(levels, abs=0.1)
+    for number, hold in enumerate(result):
         assert abs(hold.first - number * ROWS) <= 0.05 * ROWS
         assert abs(hold.after - (number + 1) * ROWS) <= 0.05 * ROWS
-    assert [hold.before < hold.level for hold in found[1:]] == [before < level for before, level in pairwise(levels)]
+    assert [hold.before < hold.level for hold in result[1:]] == [before < level for before, level in pairwise(levels)]
 
 
 @given(levels_that_differ, st.sampled_from([0, 4]), seeds)
@@ -95,10 +95,10 @@ def test_ramps_between_levels_are_in_no_hold(levels, lifetime, seed):
         parts += [np.linspace(before, level, ROWS // 4), np.full(ROWS, float(level))]
     values = np.concatenate(parts)
     values = values + 0.02 * coloured(len(values), lifetime, random)
-    found = find_holds(stamps(values), values, 3.5, 1.0, False)
-    assert [hold.level for hold in found] == pytest.approx(levels, abs=0.05)
+    result = find_holds(stamps(values), values, 3.5, 1.0, False)
+    assert [hold.level for hold in result] == pytest.approx(levels, abs=0.05)
     begins = [number * (ROWS + ROWS // 4) for number in range(len(levels))]
-    for begin, hold in zip(begins, found, strict=True):
+    for begin, hold in zip(begins, result, strict=True):
         assert abs(hold.first - begin) <= 0.1 * ROWS
         assert abs(hold.after - begin - ROWS) <= 0.1 * ROWS
 
@@ -107,8 +107,8 @@ def test_a_reading_that_flickers_by_one_count_is_held():
     random = np.random.default_rng(4)
     true = np.repeat([0.0, 20.0, 40.0, 20.0], ROWS)
     for share in (0.003, 0.03, 0.3):
-        found = find_holds(stamps(true), true + (random.random(len(true)) < share), 3.5, 1.0, False)
-        assert [hold.first for hold in found] == pytest.approx([0, 400, 800, 1200], abs=0.05 * ROWS)
+        result = find_holds(stamps(true), true + (random.random(len(true)) < share), 3.5, 1.0, False)
+        assert [hold.first for hold in result] == pytest.approx([0, 400, 800, 1200], abs=0.05 * ROWS)
 
 
 def test_a_level_that_comes_again_and_drifts_a_little_is_held():

@@ -196,9 +196,9 @@ def test_a_value_of_another_kind_is_left_out_with_the_reason(tmp_path, header, w
 @pytest.mark.parametrize(("header", "text"), [("voltage [cV]", "cV"), ("current [dA]", "dA")])
 def test_a_unit_that_is_not_known_is_asked_for_whatever_the_range(tmp_path, header, text):
     rows = listing(f"t [s],{header}", 300, lambda k: 0.01 * k, lambda k: 2.3 * math.sin(0.01 * k))
-    found = proposal(tmp_path, "a.csv", rows)
-    assert f"yet its unit is {text}, which is not known" in found.text
-    assert found.questions
+    result = proposal(tmp_path, "a.csv", rows)
+    assert f"yet its unit is {text}, which is not known" in result.text
+    assert result.questions
 
 
 @pytest.mark.parametrize("level", [1.0, 6.0, 360.0])
@@ -209,9 +209,9 @@ def test_a_step_between_two_levels_is_no_turn(tmp_path, level):
     text = listing(
         "t [s],angle_ref,angle", 2000, lambda k: 0.01 * k, lambda k: level * (k // 200 % 2), lambda k: angle[k]
     )
-    found = proposal(tmp_path, "a.csv", text)
-    assert "jumps by" not in found.text
-    assert any(question.key[-2:] == ("angle_ref", "units") for question in found.questions)
+    result = proposal(tmp_path, "a.csv", text)
+    assert "jumps by" not in result.text
+    assert any(question.key[-2:] == ("angle_ref", "units") for question in result.questions)
 
 
 @pytest.mark.parametrize(("period", "units"), [(2 * math.pi, "rad"), (360.0, "deg"), (1.0, "turn")])

@@ -61,10 +61,10 @@ def values(run, quantity):
 
 def test_every_joint_of_a_log_becomes_a_run(folder):
     logs.write_mcap(folder / "log.mcap")
-    found = runs(folder, BY_JOINT, ["all"])
-    assert set(found) == {"log-hip.h5", "log-knee.h5"}
+    result = runs(folder, BY_JOINT, ["all"])
+    assert set(result) == {"log-hip.h5", "log-knee.h5"}
     for name, angle, speed in (("hip", logs.HIP, logs.HIP_SPEED), ("knee", logs.KNEE, logs.KNEE_SPEED)):
-        run = found[f"log-{name}.h5"]
+        run = result[f"log-{name}.h5"]
         np.testing.assert_allclose(values(run, "angle"), angle, atol=1e-12)
         np.testing.assert_allclose(values(run, "velocity"), speed, atol=1e-12)
         np.testing.assert_allclose(run.channel("angle", "test").time, logs.T, atol=1e-9)

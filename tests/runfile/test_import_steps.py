@@ -96,9 +96,9 @@ def test_friction_of_an_imported_table_is_that_of_the_run(friction, way):
     source = with_labels(run, table) if way == "column" else table
     steps = {"instants": by_instants(run), "column": BY_COLUMN, "holds": HOLDS}[way]
     file = imported(here, source, CSV + steps)
-    found = results(file, "friction", "--torque-constant", "0.49")
+    result = results(file, "friction", "--torque-constant", "0.49")
     for name in ("viscous_damping", "coulomb_friction"):
-        assert abs(found[name]["value"] - expected[name]["value"]) < expected[name]["std"]
+        assert abs(result[name]["value"] - expected[name]["value"]) < expected[name]["std"]
     with Run.open(file) as kept, Run.open(run) as own:
         assert len(kept.steps) >= sum(step.name == "hold" for step in own.steps)
         assert any("steps" in event.message for event in kept.events)
@@ -197,6 +197,6 @@ def test_a_step_without_a_reading_lacks_its_parameter_and_a_settled_part_without
             imported(tmp_path, table, text)
         return
     last = {} if silent == (4.0, 6.0) else {"current_A": 3.0}
-    found = [about for *_, about in steps_in(imported(tmp_path, table, text))]
+    outcomes = [about for *_, about in steps_in(imported(tmp_path, table, text))]
     fixed = {"role": "load", "repeat": 2}
-    assert found == [{"current_A": 1.0} | fixed, {"current_A": 2.0} | fixed, last | fixed]
+    assert outcomes == [{"current_A": 1.0} | fixed, {"current_A": 2.0} | fixed, last | fixed]

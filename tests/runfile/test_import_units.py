@@ -175,9 +175,9 @@ def test_places_tell_two_shafts_apart(tmp_path):
     assert done.returncode == 0
     assert done.stdout == f"{tmp_path / 'a' / 'log.h5'}\n"
     assert done.stderr.startswith(f"note: {tmp_path / 'log.csv'}: loop/w reads 50")
-    told = json.loads(leactl(*arguments, tmp_path / "map.yaml", "--out", tmp_path / "b", "--json").stdout)
-    assert [f"note: {note}\n" for note in told["notes"]] == [done.stderr]
+    answer = json.loads(leactl(*arguments, tmp_path / "map.yaml", "--out", tmp_path / "b", "--json").stdout)
+    assert [f"note: {note}\n" for note in answer["notes"]] == [done.stderr]
     with Run.open(tmp_path / "a" / "log.h5") as run:
-        assert [event.message for event in run.events if event.level == "warning"] == told["notes"]
+        assert [event.message for event in run.events if event.level == "warning"] == answer["notes"]
     silent = leactl(*arguments, tmp_path / "gear.yaml", "--out", tmp_path / "c")
     assert (silent.returncode, silent.stderr) == (0, "")

@@ -143,8 +143,8 @@ def test_an_entry_that_is_finished_and_started_again_goes_on(tmp_path):
         wpilog_start(7, "x", "double"),
         wpilog_record(7, 30, struct.pack("<d", 2.0)),
     ]
-    found = WpiLog(tmp_path, WPILOG_HEAD + b"".join([*one, *over, *again]))
-    assert [(m.log_ns, m.decode()) for m in found.messages(["x"])] == [
+    result = WpiLog(tmp_path, WPILOG_HEAD + b"".join([*one, *over, *again]))
+    assert [(m.log_ns, m.decode()) for m in result.messages(["x"])] == [
         (10_000, {"value": 1.0}),
         (30_000, {"value": 2.0}),
     ]

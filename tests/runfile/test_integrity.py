@@ -55,10 +55,10 @@ def test_missing_attributes_and_rows_are_found(complete: Path):
         del file["setup"].attrs["mechanical"]
         del file["streams/loop/iq"].attrs["device"]
         file["streams/loop/theta"].resize((990,))
-    found = "\n".join(verify(complete))
+    result = "\n".join(verify(complete))
     for expected in ["/: no attribute 'operator'", "/setup: no attribute 'mechanical'", "iq: no attribute 'device'"]:
-        assert expected in found
-    assert "/streams/loop/theta: 990 values for 1000 stamps" in found
+        assert expected in result
+    assert "/streams/loop/theta: 990 values for 1000 stamps" in result
     with pytest.raises(InputError, match="990 values for 1000 stamps"):
         Run.open(complete)
     with Run.open(recover(complete)) as run:

@@ -110,17 +110,17 @@ def test_a_kill_loses_no_flushed_row(tmp_path: Path, seed: int):
 
 @pytest.mark.long
 def test_five_hundred_kills(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    found = []
+    results = []
     for seed in range(KILLS_LONG):
         directory = tmp_path / str(seed)
         directory.mkdir()
         said = (kill_at_any_moment if seed % 2 else kill_within_a_flush)(directory, 1000 + seed)
-        found.append((said, check_and_recover(directory, said)))
+        results.append((said, check_and_recover(directory, said)))
         shutil.rmtree(directory)
-    before, within = sum(said == 0 for said, _ in found), sum(there > said for said, there in found)
+    before, within = sum(said == 0 for said, _ in results), sum(there > said for said, there in results)
     with capsys.disabled():
-        print(f"\n{len(found)} kills, {before} before a flush had returned, {within} with rows of one under way:")
-        print(f"all readable, named as incomplete and recovered, {sum(there for _, there in found)} rows in all")
+        print(f"\n{len(results)} kills, {before} before a flush had returned, {within} with rows of one under way:")
+        print(f"all readable, named as incomplete and recovered, {sum(there for _, there in results)} rows in all")
 
 
 def test_another_process_may_watch(tmp_path: Path):

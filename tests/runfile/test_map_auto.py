@@ -190,17 +190,17 @@ LOGS = {
 def proposals(tmp_path_factory):
     """Each log's channels by the column, or by the entry that a column of a data log is."""
     folder = tmp_path_factory.mktemp("auto")
-    found = {}
+    results = {}
     for name, (write, _) in LOGS.items():
         write(folder / name)
         streams = streams_of(survey(folder / name), {})
         of_values = {"value": lambda stream: stream.table.records}
-        found[name] = {
+        results[name] = {
             of_values.get(channel.column, lambda _, channel=channel: channel.column)(stream): channel
             for stream in streams
             for channel in stream.channels.values()
         }
-    return found
+    return results
 
 
 def equal(units, true):

@@ -99,12 +99,12 @@ def test_only_what_is_new_or_changed_is_opened_and_what_is_gone_leaves(folder, o
     shutil.copy2(runs[3], folder / "new.h5")
     opened.clear()
     remarks = []
-    found = list_runs(folder, remark=remarks.append)
+    result = list_runs(folder, remark=remarks.append)
     assert sorted(opened) == sorted([*AGAIN, runs[0].name, "new.h5"])
     assert remarks == [f"{folder / NAME}: was not up to date; 7 runs read, 1 gone"]
-    assert found == scanned(folder)
+    assert result == scanned(folder)
     opened.clear()
-    assert list_runs(folder, remark=remarks.append) == found
+    assert list_runs(folder, remark=remarks.append) == result
     assert (opened, len(remarks)) == (AGAIN, 1)
 
 
@@ -130,10 +130,10 @@ def test_any_program_reads_the_index_and_nothing_waits_for_a_lock(folder):
     with closing(sqlite3.connect(path)) as base:
         assert base.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
         assert base.execute("PRAGMA journal_mode").fetchone() == ("delete",)
-        found = base.execute("SELECT file, protocol, rows, duration FROM runs WHERE fault = ''").fetchall()
+        result = base.execute("SELECT file, protocol, rows, duration FROM runs WHERE fault = ''").fetchall()
         base.execute("BEGIN EXCLUSIVE")
         assert list_runs(folder) == catalogue.runs
-    assert sorted(found) == [
+    assert sorted(result) == [
         (run.file, run.protocol, run.rows, run.duration) for run in catalogue.runs if not run.fault
     ]
     assert sorted(item.name for item in folder.iterdir() if item.name.startswith(".")) == [NAME]

@@ -40,10 +40,10 @@ def test_a_tag_finds_its_runs_and_leaves_their_files_alone(runs):
     assert tags_of(folder) == {"0001": ("paper",), "0002": (), "0003": ("greased", "paper")}
     assert [path.read_bytes() for path in runs] == before
     assert examine(runs[0]).findings == []
-    found = leactl("runs", "list", folder, "--where", "'paper' in tags and not like(tags, 'gr*')")
-    assert found.stdout.split()[0] == runs[0].name
-    assert found.stdout.split()[-1] == "tags=paper"
-    assert len(found.stdout.splitlines()) == 1
+    completed = leactl("runs", "list", folder, "--where", "'paper' in tags and not like(tags, 'gr*')")
+    assert completed.stdout.split()[0] == runs[0].name
+    assert completed.stdout.split()[-1] == "tags=paper"
+    assert len(completed.stdout.splitlines()) == 1
     answer = json.loads(leactl("runs", "tag", runs[2], "paper", "--remove", "--json").stdout)
     assert answer == {"runs": [{"run": str(runs[2]), "tags": ["greased"]}]}
     assert leactl("runs", "tag", folder, "greased", "--remove").returncode == 0

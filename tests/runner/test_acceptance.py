@@ -125,8 +125,8 @@ def test_what_can_be_judged_is_let_pass(tmp_path, text):
 def test_the_known_analyses_are_those_that_can_be_imported():
     room = leactl.analysis.experiments
     modules = [module.name for module in pkgutil.iter_modules(room.__path__)]
-    found = [name for name in modules if hasattr(importlib.import_module(f"{room.__name__}.{name}"), "analyze")]
-    assert registry.names() == sorted(name.replace("_", "-") for name in found)
+    results = [name for name in modules if hasattr(importlib.import_module(f"{room.__name__}.{name}"), "analyze")]
+    assert registry.names() == sorted(name.replace("_", "-") for name in results)
     assert not analyze.is_known("intervals")
 
 

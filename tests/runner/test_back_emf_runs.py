@@ -52,10 +52,10 @@ def test_the_constant_comes_back_with_its_harmonics_and_the_true_pole_count(spin
     assert outcome.status == "complete", outcome.reason
     assert verify(outcome.path) == []
     result = analyze_runs([outcome.path])
-    found = result.find("back_emf_constant")
-    assert found.value == pytest.approx(KB, rel=0.005)
-    assert found.value == pytest.approx(KB * made.far_ends["daq"].scale, rel=3e-5)
-    assert found.low <= KB <= found.high
+    output = result.find("back_emf_constant")
+    assert output.value == pytest.approx(KB, rel=0.005)
+    assert output.value == pytest.approx(KB * made.far_ends["daq"].scale, rel=3e-5)
+    assert output.low <= KB <= output.high
     assert result.find("pole_pairs").value == pytest.approx(20, abs=0.02)
     assert noted(result, "the model has 41 pole pairs; 20 were counted")
     assert result.find("harmonic_5").value == pytest.approx(0.03, abs=2e-4)

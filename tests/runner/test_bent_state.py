@@ -143,9 +143,9 @@ def test_a_bent_winding_memory_is_hot_and_a_new_one_goes_nowhere_else(bend, tmp_
     )
     bend(memory.path)
     before = sorted(tmp_path.rglob("*"))
-    found = memory.recall(NOW)
-    assert found.nodes.tolist() == [LIMIT] * 3
-    assert found.known.startswith("counts as hot: ")
+    result = memory.recall(NOW)
+    assert result.nodes.tolist() == [LIMIT] * 3
+    assert result.known.startswith("counts as hot: ")
     with suppress(OSError):  # a file that can be written is mended by the next run
         memory.keep(np.full(3, 40.0), NOW, running=False)
         assert memory.recall(NOW).nodes[0] < LIMIT
@@ -394,9 +394,9 @@ def test_a_bent_memory_of_a_winding_is_hot(tmp_path, bent):
     memory.keep(np.full(3, 40.0), NOW, running=False)
     kept = json.loads(memory.path.read_text()) | bent
     memory.path.write_text(json.dumps(kept))
-    found = memory.recall(NOW)
-    assert found.nodes.tolist() == [LIMIT] * 3
-    assert found.known.startswith("counts as hot: ")
+    result = memory.recall(NOW)
+    assert result.nodes.tolist() == [LIMIT] * 3
+    assert result.known.startswith("counts as hot: ")
 
 
 @pytest.mark.parametrize(

@@ -104,15 +104,15 @@ def test_the_command_line_gives_the_fit_within_its_intervals(tmp_path, monkeypat
     # how far it is shows once it takes a while
     assert [line for line in done.stderr.splitlines() if not line.startswith("thermal on emulated-heated: ")] == []
     path = json.loads(done.stdout)["run"]
-    told = leactl("analyze", path, "--json")
-    assert told.returncode == 0, told.stderr
-    found = {one["name"]: one for one in json.loads(told.stdout)["results"]}
+    completed = leactl("analyze", path, "--json")
+    assert completed.returncode == 0, completed.stderr
+    results = {one["name"]: one for one in json.loads(completed.stdout)["results"]}
     for name in ("winding_ambient_resistance", "housing_ambient_resistance", "parallel_thermal_resistance"):
-        assert found[name]["value"] is None, f"{name} after two minutes"
+        assert results[name]["value"] is None, f"{name} after two minutes"
     for name, true in TRUE.items():
-        if found[name]["value"] is not None:
-            assert found[name]["low"] < true < found[name]["high"], name
-    assert found["rmse"]["value"] < 1.05 * INJECTED_K
+        if results[name]["value"] is not None:
+            assert results[name]["low"] < true < results[name]["high"], name
+    assert results["rmse"]["value"] < 1.05 * INJECTED_K
 
 
 @pytest.mark.long
@@ -121,13 +121,13 @@ def test_the_whole_protocol_gives_every_figure(tmp_path, monkeypatch):
     monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "state"))
     done = leactl("run", "thermal", "--bench", "emulated-heated", "--json")
     assert (done.returncode, done.stderr) == (0, "")
-    found = {one.name: one for one in analyze_runs([tmp_path / json.loads(done.stdout)["run"]]).results}
+    results = {one.name: one for one in analyze_runs([tmp_path / json.loads(done.stdout)["run"]]).results}
     for name, true in TRUE.items():
-        assert found[name].low < true < found[name].high, name
-    assert found["parallel_thermal_resistance"].value == pytest.approx(TRUE["parallel_thermal_resistance"], rel=0.02)
-    assert found["housing_capacitance"].value == pytest.approx(469.1, rel=0.05)
-    assert found["line_resistance"].value == pytest.approx(0.528, rel=0.005)
-    assert found["rmse"].value < 1.05 * INJECTED_K
+        assert results[name].low < true < results[name].high, name
+    assert results["parallel_thermal_resistance"].value == pytest.approx(TRUE["parallel_thermal_resistance"], rel=0.02)
+    assert results["housing_capacitance"].value == pytest.approx(469.1, rel=0.05)
+    assert results["line_resistance"].value == pytest.approx(0.528, rel=0.005)
+    assert results["rmse"].value < 1.05 * INJECTED_K
 
 
 @pytest.mark.long

@@ -55,23 +55,23 @@ def manner_of(bench, asked=HOT, protocol="thermal", **how):
 def test_one_short_heat_narrows_the_file_until_the_whole_protocol_is_admitted_and_run(tmp_path):
     bench, file = Bench(tmp_path), tmp_path / "LEA-1.yaml"
     manner, said = manner_of(bench)
-    found = commission(manner, file)
+    result = commission(manner, file)
     first, whole = bench.requests
-    assert [heat.whole for heat in found.heats] == [False, True]
+    assert [heat.whole for heat in result.heats] == [False, True]
     assert 800.0 < first.plan.parameters["heating_s"] < 967.0
     assert first.bench.motors["test"] == "lea"
     assert whole.plan.parameters["heating_s"] == 1500
     assert whole.bench.motors == {"test": str(file), "load": "lea"}
     # what is emulated stays the actuator that was there, whatever the file tells of it
     assert actuator_of(whole.bench, "test", {}) == actuator_of(first.bench, "test", {})
-    assert load_motor(str(file))[0] == found.motor
-    assert found.motor.tolerances.housing_ambient_resistance < 0.02
-    assert found.admitted
+    assert load_motor(str(file))[0] == result.motor
+    assert result.motor.tolerances.housing_ambient_resistance < 0.02
+    assert result.admitted
     assert "not admitted" in said[0]
     assert "admitted" in said[-1]
     text = file.read_text()
-    assert bench.bench.directory.joinpath(found.heats[0].path.name).exists()
-    assert found.heats[0].path.name in text
+    assert bench.bench.directory.joinpath(result.heats[0].path.name).exists()
+    assert result.heats[0].path.name in text
 
 
 @pytest.mark.long
@@ -79,8 +79,8 @@ def test_no_heat_lasts_more_than_a_few_times_the_longest_before_it(tmp_path):
     """A body that warms for an hour shows nothing in a quarter of it, and the bound of the whole is none then."""
     bench = Bench(tmp_path)
     manner, said = manner_of(bench, HOT | {"heating_s": "4500"}, accuracy=Accuracy(0.005, 0.5))
-    found = commission(manner, tmp_path / "LEA-1.yaml")
-    first, second, whole = (heat.heating_s for heat in found.heats)
+    result = commission(manner, tmp_path / "LEA-1.yaml")
+    first, second, whole = (heat.heating_s for heat in result.heats)
     assert 2.0 * first < second <= 3.0 * first + 1.0
     assert whole == 4500
     assert "admitted for heats of up to" in said[1]
@@ -95,24 +95,24 @@ def test_a_run_of_another_bench_is_refused(tmp_path):
 
 def test_what_is_admitted_already_is_run_at_once_and_writes_no_file(tmp_path):
     bench, file = Bench(tmp_path), tmp_path / "LEA-1.yaml"
-    found = commission(manner_of(bench, HOT | {"current_A": "6"})[0], file)
-    assert [heat.whole for heat in found.heats] == [True]
-    assert found.file is None
+    result = commission(manner_of(bench, HOT | {"current_A": "6"})[0], file)
+    assert [heat.whole for heat in result.heats] == [True]
+    assert result.file is None
     assert not file.exists()
 
 
 def test_a_rehearsal_says_how_long_the_first_heat_is_and_runs_nothing(tmp_path):
     bench = Bench(tmp_path)
-    found = commission(manner_of(bench, dry_run=True)[0], tmp_path / "LEA-1.yaml")
-    assert (bench.requests, found.admitted) == ([], False)
-    assert 800.0 < found.next_heating_s < 967.0
+    result = commission(manner_of(bench, dry_run=True)[0], tmp_path / "LEA-1.yaml")
+    assert (bench.requests, result.admitted) == ([], False)
+    assert 800.0 < result.next_heating_s < 967.0
 
 
 def test_runs_that_are_there_already_count_and_are_not_made_again(tmp_path):
     bench, file = Bench(tmp_path), tmp_path / "LEA-1.yaml"
     before = bench.bench.run(rate_Hz=2.0, heat_s=800.0, cool_s=1600.0, actuator="LEA-1", bench="emulated-heated")
-    found = commission(manner_of(bench, given=[before])[0], file)
-    assert [heat.whole for heat in found.heats] == [True]
+    result = commission(manner_of(bench, given=[before])[0], file)
+    assert [heat.whole for heat in result.heats] == [True]
     assert before.name in file.read_text()
 
 

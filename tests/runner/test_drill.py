@@ -51,26 +51,26 @@ def drill(tmp_path):
 
 
 def by_name(drilled):
-    found = {}
+    results = {}
     for finding in drilled.findings:
-        found.setdefault(finding.name, []).append(finding)
-    return found
+        results.setdefault(finding.name, []).append(finding)
+    return results
 
 
 @pytest.mark.long
 def test_the_shipped_bench_catches_its_whole_catalogue_and_ends_safe(drill):
     drilled = drill()
     assert [finding.faults for finding in drilled.findings if not finding.held] == []
-    found = by_name(drilled)
-    assert found.keys() | drilled.left_out.keys() == {"no_fault", "stop", *known_faults()}
+    result = by_name(drilled)
+    assert result.keys() | drilled.left_out.keys() == {"no_fault", "stop", *known_faults()}
     assert drilled.left_out.keys() == {"slow_disk", "supply_stuck_on", "supply_out_of_regulation", "cut_line"}
-    assert {finding.on for finding in found["stuck_sensor"]} == {"torque_sensor", "drive_test", "drive_load"}
+    assert {finding.on for finding in result["stuck_sensor"]} == {"torque_sensor", "drive_test", "drive_load"}
     assert all(verify(Path(finding.run)) == [] for finding in drilled.findings)
 
 
 def test_times_count_from_the_fault_to_the_cycle_that_ended_and_to_zero_torque_at_the_plant(drill):
-    found = by_name(drill("emulated", "bus_off", "drive_fault", "frozen_drive"))
-    (bus_off,) = found["bus_off"]
+    result = by_name(drill("emulated", "bus_off", "drive_fault", "frozen_drive"))
+    (bus_off,) = result["bus_off"]
     assert bus_off.ended_s == pytest.approx(0.01)  # it begins amid a cycle of 20 ms
     # the drives hear no heartbeat any more: 200 ms after the last, which is up to a third of that before the fault
     assert 0.2 - 0.067 - 0.01 <= bus_off.zero_torque_s <= 0.2 + 0.01
@@ -79,8 +79,8 @@ def test_times_count_from_the_fault_to_the_cycle_that_ended_and_to_zero_torque_a
         (False, True),
         (True, None),
     ]
-    assert found["drive_fault"][0].zero_torque_s <= 0.02
-    frozen, _of_load = found["frozen_drive"]
+    assert result["drive_fault"][0].zero_torque_s <= 0.02
+    frozen, _of_load = result["frozen_drive"]
     assert frozen.zero_torque_s is None
     assert (frozen.devices["drive_test"].confirmed, frozen.devices["drive_test"].without_power) == (False, False)
     assert frozen.notes == ["drive_test keeps its power until its supply is switched off, as was told"]

@@ -17,8 +17,8 @@ def test_a_drive_that_limits_its_current_is_in_the_file_once_an_onset(spin):
 
     outcome, _bench = spin(at=[(0.4, limit)])
     assert outcome.status == "complete"
-    found = [event for event in messages(outcome, "warning") if event[0] == "drive_test"]
-    assert found == [("drive_test", "the drive limits its demand by itself (bit 11 of statusword 0x0E37)")]
+    results = [event for event in messages(outcome, "warning") if event[0] == "drive_test"]
+    assert results == [("drive_test", "the drive limits its demand by itself (bit 11 of statusword 0x0E37)")]
 
 
 def test_a_current_above_what_the_drive_lets_flow_ends_the_run_before_it_is_sent(spin):

@@ -76,16 +76,16 @@ def warm_resistances(run):
     """Resistance of the driving winding in each hold [ohm], by the two-node network under the recorded current."""
     net, channel = LEA.thermal, run.channel("q_axis_current", "test")
     winding = housing = 0.0  # K above ambient, at which the resistance is that of the sheet
-    found = np.empty(len(channel.time))
+    result = np.empty(len(channel.time))
     for k, (current, dt) in enumerate(zip(channel.values, np.diff(channel.time, prepend=0.0), strict=True)):
-        found[k] = LEA.phase_resistance * (1.0 + LEA.resistance_coefficient * winding)
+        result[k] = LEA.phase_resistance * (1.0 + LEA.resistance_coefficient * winding)
         across = (winding - housing) / net.winding_housing_resistance
-        heat = found[k] * np.nan_to_num(current) ** 2 - winding / net.winding_ambient_resistance - across
+        heat = result[k] * np.nan_to_num(current) ** 2 - winding / net.winding_ambient_resistance - across
         winding += dt * heat / net.winding_capacitance
         housing += dt * (across - housing / net.housing_ambient_resistance) / net.housing_capacitance
     holds = [step for step in run.steps if step.name == "hold"]
     inside = [(channel.time >= step.start + step.settle) & (channel.time < step.stop) for step in holds]
-    return np.array([found[one].mean() for one in inside]).reshape(len(SPEEDS), len(CURRENTS))
+    return np.array([result[one].mean() for one in inside]).reshape(len(SPEEDS), len(CURRENTS))
 
 
 def test_drives_that_tell_their_voltage_show_the_losses_of_warm_windings(spin, tmp_path):

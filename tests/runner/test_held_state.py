@@ -156,7 +156,7 @@ def test_a_watchdog_without_a_descriptor_latches_a_run_that_is_killed(tmp_path, 
             assert run.poll() is None
         dog = watchdog_of(run.pid)
         resource.prlimit(dog, resource.RLIMIT_NOFILE, (0, 0))
-        found = about(dog)
+        result = about(dog)
     finally:
         run.send_signal(signal.SIGKILL)
         told = run.stderr.read()  # until the watchdog has ended as well
@@ -164,7 +164,7 @@ def test_a_watchdog_without_a_descriptor_latches_a_run_that_is_killed(tmp_path, 
         run.stderr.close()
     assert "ended without making the bench safe" in told
     assert trip_of("emulated").cause in told
-    assert found == about(permitted.pid)
+    assert result == about(permitted.pid)
 
 
 def test_what_is_in_memory_is_locked_there_and_the_kernel_asked(monkeypatch, tmp_path):

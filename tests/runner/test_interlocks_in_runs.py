@@ -131,13 +131,13 @@ def test_a_warning_is_one_event_of_the_file_and_one_line_of_the_view(spin, tmp_p
     outcome, _bench = spin(bench=bench_file(tmp_path, "  velocity: {role: test, warn_rad_s: 2}"), watch=watch)
     assert outcome.status == "complete"
     with Run.open(outcome.path) as run:
-        found = [event for event in run.events if event.source == "safety"]
+        results = [event for event in run.events if event.source == "safety"]
         velocity = run.channel("velocity", "test")
-    assert [event.level for event in found] == ["warning"]
-    assert found[0].message.startswith("test velocity of 2.")
+    assert [event.level for event in results] == ["warning"]
+    assert results[0].message.startswith("test velocity of 2.")
     crossed = velocity.time[velocity.values > 2.0][0]
-    assert 0 <= found[0].time - crossed <= PERIOD
-    assert seen[0].warnings == [found[0].message]
+    assert 0 <= results[0].time - crossed <= PERIOD
+    assert seen[0].warnings == [results[0].message]
 
 
 def test_a_warning_is_on_stderr_once(tmp_path, monkeypatch):

@@ -66,11 +66,11 @@ def test_no_cycle_begins_after_a_stop_and_the_drives_lose_torque_within_one(spin
 
 
 def test_a_run_tells_how_it_ended_to_whoever_had_its_file_open(spin):
-    found = []
+    results = []
     outcome, _bench = spin(
-        at=[(0.3, lambda _bench: found.extend(runs_underway.running()[0]))], sets=("current_A=2.5", "hold_s=2")
+        at=[(0.3, lambda _bench: results.extend(runs_underway.running()[0]))], sets=("current_A=2.5", "hold_s=2")
     )
-    (run,) = found
+    (run,) = results
     assert run.wait(time.monotonic())
     told = run.facts()
     run.close()

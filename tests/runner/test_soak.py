@@ -35,10 +35,10 @@ def family(root):
             parents[int(stat.parent.name)] = int(stat.read_text().rpartition(")")[2].split()[1])
         except OSError:
             continue  # it has ended in the meantime
-    found = [root]
-    for process in found:
-        found += [child for child, parent in parents.items() if parent == process]
-    return found
+    results = [root]
+    for process in results:
+        results += [child for child, parent in parents.items() if parent == process]
+    return results
 
 
 def held_by(processes):

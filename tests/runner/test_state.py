@@ -92,9 +92,9 @@ def test_windings_of_a_real_bench_are_recalled_by_every_user_the_hottest_of_what
     warm.guard.node_bounds["test"][:] = 90.0
     warm.keep_as_found()  # in the user's own place, while there is none of the machine
     monkeypatch.setenv("LEACTL_MACHINE_STATE", str(tmp_path / "machine"))
-    found = Windings(file, devices)
-    assert found.recalled["test"].nodes[0] > 80.0
-    found.keep_as_found()
+    result = Windings(file, devices)
+    assert result.recalled["test"].nodes[0] > 80.0
+    result.keep_as_found()
     monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "foreign"))
     assert Windings(file, devices).recalled["test"].nodes[0] > 80.0
     assert (tmp_path / "machine" / f"testbed-{os.getpid()}.test.thermal.json").is_file()

@@ -46,9 +46,9 @@ def memory(actuator="a1", motor=LEA, limit=130.0, ambient=25.0):
 
 def test_what_was_kept_is_recalled():
     memory().keep(WARM, NOW, running=False)
-    found = memory().recall(NOW)
-    assert found.nodes == pytest.approx(WARM, abs=0.1)
-    assert found.known.startswith("at rest since 2027-01-15T08:00:00")
+    result = memory().recall(NOW)
+    assert result.nodes == pytest.approx(WARM, abs=0.1)
+    assert result.known.startswith("at rest since 2027-01-15T08:00:00")
 
 
 def test_windings_cool_while_nothing_runs_the_housing_slowly():
@@ -62,12 +62,12 @@ def test_windings_cool_while_nothing_runs_the_housing_slowly():
 
 def test_a_run_that_died_left_its_winding_at_the_limit_and_its_housing_warmer():
     memory().keep(WARM, NOW, running=True)
-    found = memory().recall(NOW)
-    assert found.nodes[:2] == pytest.approx(130.0, abs=0.1)
-    assert 52.0 < found.nodes[2] < 70.0
-    assert found.known.startswith("its last run ended without a word after 2027-")
+    result = memory().recall(NOW)
+    assert result.nodes[:2] == pytest.approx(130.0, abs=0.1)
+    assert 52.0 < result.nodes[2] < 70.0
+    assert result.known.startswith("its last run ended without a word after 2027-")
     # nothing is known of the time until a writing was overdue
-    assert memory().recall(at(OVERDUE_S)).nodes == pytest.approx(found.nodes)
+    assert memory().recall(at(OVERDUE_S)).nodes == pytest.approx(result.nodes)
     assert memory().recall(at(600.0)).nodes[0] < 80.0
     assert memory().recall(at(2 * 86400.0)).nodes == pytest.approx(28.0, abs=0.1)
 
@@ -76,9 +76,9 @@ def test_a_run_that_died_left_its_winding_at_the_limit_and_its_housing_warmer():
 def test_a_supply_that_nobody_has_switched_off_lets_nothing_cool(left_on, hottest):
     memory().keep(WARM, NOW, running=True, left_on=left_on)
     for seconds in (0.0, OVERDUE_S, 7200.0, 7 * 86400.0):
-        found = memory().recall(at(seconds))
-        assert (found.nodes.tolist(), found.left_on) == ([hottest] * 3, left_on)
-        assert found.known.startswith("a supply may heat it still, since 2027-")
+        result = memory().recall(at(seconds))
+        assert (result.nodes.tolist(), result.left_on) == ([hottest] * 3, left_on)
+        assert result.known.startswith("a supply may heat it still, since 2027-")
 
 
 def test_a_supply_that_was_seen_off_at_the_end_lets_it_cool():
@@ -152,16 +152,16 @@ def test_a_file_that_cannot_be_trusted_counts_as_hot(fault):
         body = json.loads(text)
         body = body | change if isinstance(change, dict) else {key: body[key] for key in body if key != change}
         kept.path.write_text(json.dumps(body))
-    found = kept.recall(at(30.0))
-    assert found.nodes.tolist() == [130.0] * 3
-    assert found.known.startswith(f"counts as hot: {kept.path} cannot be used: ")
-    assert reason in found.known
-    assert "\n" not in found.known
+    result = kept.recall(at(30.0))
+    assert result.nodes.tolist() == [130.0] * 3
+    assert result.known.startswith(f"counts as hot: {kept.path} cannot be used: ")
+    assert reason in result.known
+    assert "\n" not in result.known
 
 
 def test_nothing_known_and_nothing_readable_count_as_hot(tmp_path):
-    found = memory("never seen").recall(NOW)
-    assert (found.nodes.tolist(), found.known) == ([130.0] * 3, "counts as hot: nothing is known of it")
+    result = memory("never seen").recall(NOW)
+    assert (result.nodes.tolist(), result.known) == ([130.0] * 3, "counts as hot: nothing is known of it")
     memory("folder").path.mkdir(parents=True)
     assert memory("folder").recall(NOW).nodes.tolist() == [130.0] * 3
 
@@ -184,8 +184,8 @@ def test_what_has_rested_through_a_boot_has_cooled_for_as_long_as_the_machine_is
 def test_of_a_machine_with_another_boot_no_more_counts_than_lies_between_the_wall_clocks(wall, rested):
     """A folder that two machines share: the other one has been up for days."""
     memory().keep(WARM, NOW, running=False)
-    found = memory().recall(ClockReadings(wall, "of the other machine", 9e5)).nodes
-    assert found.tolist() == pytest.approx(memory().recall(at(rested)).nodes.tolist())
+    result = memory().recall(ClockReadings(wall, "of the other machine", 9e5)).nodes
+    assert result.tolist() == pytest.approx(memory().recall(at(rested)).nodes.tolist())
 
 
 LAGGED = LEA.model_copy(update={"thermal": LEA.thermal.model_copy(update={"winding_ambient_resistance": 1e4})})
@@ -380,7 +380,7 @@ def test_a_run_that_is_killed_is_found_by_the_next(tmp_path, served):
     run.communicate()
     kept = json.loads((tmp_path / "state" / "thermal" / "emulated.test.json").read_text())
     assert kept["running"] is True
-    told = leactl("thermal", "state", "--bench", "bench.yaml", "--json")
-    [test, _load] = json.loads(told.stdout)["windings"]
+    completed = leactl("thermal", "state", "--bench", "bench.yaml", "--json")
+    [test, _load] = json.loads(completed.stdout)["windings"]
     assert test["known"].startswith("its last run ended without a word after ")
     assert 100.0 < test["hottest_phase_degC"] <= 130.0

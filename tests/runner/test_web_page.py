@@ -283,11 +283,11 @@ def test_stop_ends_the_run_and_its_file_tells_the_cause(spin):
 
 def sockets(process="self"):
     """Those that a process holds."""
-    found = []
+    results = []
     for place in Path(f"/proc/{process}/fd").iterdir():
         with suppress(FileNotFoundError):
-            found.append(str(place.readlink()))
-    return [name for name in found if name.startswith("socket")]
+            results.append(str(place.readlink()))
+    return [name for name in results if name.startswith("socket")]
 
 
 def test_stop_is_heard_where_nothing_can_be_shown_any_more(spin, monkeypatch):

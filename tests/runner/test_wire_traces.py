@@ -102,19 +102,19 @@ def replayed(trace, bench):
 @pytest.mark.parametrize("kind", ["can", "serial"])
 def test_a_run_is_replayed_to_the_last_byte(traced, kind):
     trace, bench = traced(kind)
-    found = replayed(trace, bench)
-    assert (found.difference, found.raised, found.cut_short) == (None, (), False)
+    result = replayed(trace, bench)
+    assert (result.difference, result.raised, result.cut_short) == (None, (), False)
     wires = [line for line in read_trace(trace) if line.kind in "><!"]
-    assert found.transfers == len(wires) > 300
+    assert result.transfers == len(wires) > 300
     assert {line.owner for line in wires} == {"i2c1", *(["can0"] if kind == "can" else ["line_test", "line_load"])}
 
 
 def test_a_fault_in_the_field_is_raised_again(traced):
     fault = {"fault": "drive_fault", "at_s": 1.0, "device": "drive_test", "code": 0x2340}
     trace, bench = traced("serial", [fault])
-    found = replayed(trace, bench)
-    assert found.difference is None
-    assert found.raised == ("DeviceFault: drive_test: MF 0xB000 (short circuit)",)
+    result = replayed(trace, bench)
+    assert result.difference is None
+    assert result.raised == ("DeviceFault: drive_test: MF 0xB000 (short circuit)",)
 
 
 @pytest.mark.parametrize(("words", "runs"), BY_HAND.values(), ids=BY_HAND)
@@ -196,17 +196,17 @@ def test_a_trace_by_hand_is_whole_after_ctrl_c(here, words):
     assert process.returncode == 4, errors
     closed = [line.owner for line in read_trace(trace) if line.text == "close []"]
     assert closed[:3] == ["drive_test", "drive_load", "torque_sensor"]
-    found = replayed(trace, "bench.yaml")
-    assert (found.difference, found.cut_short) == (None, False)
+    result = replayed(trace, "bench.yaml")
+    assert (result.difference, result.cut_short) == (None, False)
 
 
 def test_a_fault_during_a_jog_is_raised_again(here):
     fault = {"fault": "drive_fault", "at_s": 0.5, "device": "drive_test", "code": 0x2340}
     write_bench(lambda data: data["emulated"].update(faults=[fault]))
     assert by_hand(JOG, "jog.trace").returncode == 5
-    found = replayed(Path("jog.trace"), "bench.yaml")
-    assert (found.difference, found.cut_short) == (None, False)
-    assert [text.split(":")[:2] for text in found.raised] == [["DeviceFault", " drive_test"]]
+    result = replayed(Path("jog.trace"), "bench.yaml")
+    assert (result.difference, result.cut_short) == (None, False)
+    assert [text.split(":")[:2] for text in result.raised] == [["DeviceFault", " drive_test"]]
 
 
 def test_a_check_traces_each_device_that_it_tries_by_itself(here):
@@ -234,10 +234,10 @@ def test_a_trace_is_on_the_disk_once_a_device_is_closed(tmp_path):
 def test_a_driver_that_sends_something_else_is_named_with_the_line(traced, monkeypatch):
     trace, bench = traced("serial")
     monkeypatch.setattr(ElmoSerial, "_cycle_commands", lambda *_: ["MF"])
-    found = replayed(trace, bench)
-    line = trace.read_text().splitlines()[found.difference.line - 1]
-    assert f" {found.difference.owner} > " in line
-    assert found.difference.came.startswith("'> ")
+    result = replayed(trace, bench)
+    line = trace.read_text().splitlines()[result.difference.line - 1]
+    assert f" {result.difference.owner} > " in line
+    assert result.difference.came.startswith("'> ")
 
 
 def test_a_reading_that_differs_is_named(traced, tmp_path):
@@ -255,9 +255,9 @@ def test_a_reading_that_differs_is_named(traced, tmp_path):
     assert done.returncode == 5
     assert done.stderr.startswith(f"leactl: {changed}:")
     assert "drive_test: end_cycle ended with" in done.stderr
-    told = json.loads(leactl("driver", "replay", changed, "--bench", bench, "--json").stdout)
-    assert told["difference"]["owner"] == "drive_test"
-    fits_the_page("A trace, replayed", told)
+    answer = json.loads(leactl("driver", "replay", changed, "--bench", bench, "--json").stdout)
+    assert answer["difference"]["owner"] == "drive_test"
+    fits_the_page("A trace, replayed", answer)
 
 
 @pytest.mark.parametrize(("kind", "came"), [(">", "nothing more was sent"), ("<", "nothing more was read")])
@@ -313,8 +313,8 @@ def test_a_row_and_a_notice_that_differ_are_named(traced, monkeypatch, method):
         return [row._replace(values=tuple(2 * value for value in row.values)) for row in given(self)]
 
     monkeypatch.setattr(ElmoCan, method, wrong)
-    found = replayed(trace, bench)
-    assert found.difference.came.startswith(f"{method} ended with '[")
+    result = replayed(trace, bench)
+    assert result.difference.came.startswith(f"{method} ended with '[")
 
 
 def test_a_trace_that_has_no_rows_yet_is_replayed_without_them(traced, tmp_path):
@@ -349,9 +349,9 @@ def test_a_trace_that_was_cut_off_is_replayed_as_far_as_it_goes(traced, tmp_path
     for share in (0.1, 0.5, 0.9):
         cut = tmp_path / f"{share}.trace"
         cut.write_bytes(data[: int(share * len(data))])
-        found = replayed(cut, bench)
-        assert found.difference is None
-        assert found.calls > 0
+        result = replayed(cut, bench)
+        assert result.difference is None
+        assert result.calls > 0
 
 
 @pytest.mark.parametrize("suffix", ["asc", "blf", "log"])

@@ -40,9 +40,9 @@ class Plant:
         t = motor.tolerances.model_dump()
         names = [name for name in cls.__annotations__ if name in t]
         values = motor.model_dump() | motor.model_dump()["thermal"]
-        found = {name: values[name] * (1.0 + t[name] * place) for name, place in zip(names, places, strict=False)}
+        results = {name: values[name] * (1.0 + t[name] * place) for name, place in zip(names, places, strict=False)}
         return cls(
-            **found,
+            **results,
             current_gain=1.0 + t["current"] * places[len(names)],
             ambient=25.0 + t["ambient_K"] * places[len(names) + 1],
             offset=offset,

@@ -26,13 +26,13 @@ FASTEST = LEA.torque_constant * SETTINGS.most_current / LEA.rotor_inertia
 @given(seed=st.integers(0, 2**32 - 1), rate=st.sampled_from([20.0, 100.0, 1000.0]), reading=st.sampled_from(READINGS))
 def test_every_course_is_one_that_the_bench_could_run(seed, rate, reading):
     genes = np.random.default_rng(seed).random(GENES)
-    found = course(genes, LEA, SETTINGS, 1.0 / rate, 2.0, reading)
-    assert np.all((found.currents >= 0.0) & (found.currents <= SETTINGS.most_current))
-    fine, parts = found.passed_angles.ravel(), found.passed_angles.shape[1]
-    step = found.interval / parts
+    result = course(genes, LEA, SETTINGS, 1.0 / rate, 2.0, reading)
+    assert np.all((result.currents >= 0.0) & (result.currents <= SETTINGS.most_current))
+    fine, parts = result.passed_angles.ravel(), result.passed_angles.shape[1]
+    step = result.interval / parts
     # between instants a step apart: where a rotor comes to rest, two accelerations meet within one
     assert np.max(np.abs(np.diff(fine, 2))) / step**2 <= FASTEST * 1.001
-    assert found.angles.shape == found.velocities.shape == found.currents.shape
+    assert result.angles.shape == result.velocities.shape == result.currents.shape
 
 
 def test_every_kind_of_course_comes_to_be():
@@ -76,10 +76,10 @@ def drawn(guard_of, rate, reading, count):
 
 @pytest.mark.parametrize(("rate", "reading"), [(20.0, "true"), (100.0, "stuck"), (500.0, "noisy"), (100.0, "drifting")])
 def test_the_guard_as_it_is_holds(rate, reading):
-    found = list(drawn(ThermalGuard, rate, reading, 8))
-    assert max(one.over_k for one in found) <= 0.0
-    assert max(one.peak for one in found) <= SETTINGS.limit
-    assert max(one.peak for one in found) > 100.0
+    results = list(drawn(ThermalGuard, rate, reading, 8))
+    assert max(one.over_k for one in results) <= 0.0
+    assert max(one.peak for one in results) <= SETTINGS.limit
+    assert max(one.peak for one in results) > 100.0
 
 
 class Wrong(ThermalGuard):
@@ -98,9 +98,11 @@ class TurnsAlways(Wrong):
         whole = rotor.span
 
         def span(log, duration):
-            found = whole(log, duration)
-            found.angle_phasor = found.velocity_phasor = found.angle_phasor_moment = found.velocity_phasor_moment = 0.0
-            return found
+            result = whole(log, duration)
+            result.angle_phasor = result.velocity_phasor = result.angle_phasor_moment = (
+                result.velocity_phasor_moment
+            ) = 0.0
+            return result
 
         rotor.span = span
 
@@ -126,9 +128,9 @@ class AngleAlone(Wrong):
         whole = rotor.span
 
         def span(log, duration):
-            found = whole(log, duration)
-            found.velocity_phasor = found.velocity_phasor_moment = 0.0
-            return found
+            result = whole(log, duration)
+            result.velocity_phasor = result.velocity_phasor_moment = 0.0
+            return result
 
         rotor.span = span
 

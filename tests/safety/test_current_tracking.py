@@ -101,9 +101,9 @@ def test_a_demand_that_alternates_faster_than_readings_come_is_no_disagreement(m
 def tracking(need=VoltageNeed(), **settings):  # noqa: B008 (it is frozen)
     trips = []
     motion = types.SimpleNamespace(engaged=True)
-    found = CurrentTracking("test", motion, CurrentDisagreement(**settings), LIMITS, need, trips.append)
-    found.turn_to(judges=True)
-    return found, trips
+    result = CurrentTracking("test", motion, CurrentDisagreement(**settings), LIMITS, need, trips.append)
+    result.turn_to(judges=True)
+    return result, trips
 
 
 def exchange(tracking, reading, demand, velocity, now):
@@ -153,11 +153,11 @@ def test_a_machine_of_another_size_is_judged_alike(factor):
     limits = LIMITS.model_copy(update={"current_A": factor * LIMITS.current_A})
     trips = []
     motion = types.SimpleNamespace(engaged=True)
-    found = CurrentTracking("test", motion, CurrentDisagreement(), limits, VoltageNeed(), trips.append)
-    found.turn_to(judges=True)
+    result = CurrentTracking("test", motion, CurrentDisagreement(), limits, VoltageNeed(), trips.append)
+    result.turn_to(judges=True)
     for cycle in range(252):
-        exchange(found, 0.6 * 0.7 * factor, 0.7 * factor, 0.0, 0.001 * cycle)
+        exchange(result, 0.6 * 0.7 * factor, 0.7 * factor, 0.0, 0.001 * cycle)
     assert not trips
     for cycle in range(252, 504):
-        exchange(found, 0.2 * 0.7 * factor, 0.7 * factor, 0.0, 0.001 * cycle)
+        exchange(result, 0.2 * 0.7 * factor, 0.7 * factor, 0.0, 0.001 * cycle)
     assert trips

@@ -19,9 +19,9 @@ def forecast(made):
 @pytest.mark.parametrize("seconds", [0.3, 0.7, 1.1, 5.79, 24.99])
 def test_an_angle_may_be_held_while_the_current_varies_for_any_time(seconds):
     sine = f"signal: {{role: test, kind: sine, amplitude_A: 5, frequency_Hz: 1, duration_s: {seconds}}}"
-    found = forecast(plan(sine, mode="{test: current, load: angle}"))
-    assert found.passing is None
-    assert found.peaks["test"] < 40.0
+    result = forecast(plan(sine, mode="{test: current, load: angle}"))
+    assert result.passing is None
+    assert result.peaks["test"] < 40.0
 
 
 def test_a_housing_at_rest_behind_a_winding_that_heats_costs_no_halved_steps(monkeypatch):

@@ -64,10 +64,10 @@ def test_a_plan_that_passes_is_named_with_step_time_and_role():
 
 
 def test_a_plan_that_passes_nowhere_tells_its_peaks():
-    found = foresight().forecast(made(CURRENT, *BURST))
-    assert found.passing is None
-    assert 80.0 < found.peaks["test"] < 129.5
-    assert found.peaks["load"] == pytest.approx(28.0, abs=0.01)
+    result = foresight().forecast(made(CURRENT, *BURST))
+    assert result.passing is None
+    assert 80.0 < result.peaks["test"] < 129.5
+    assert result.peaks["load"] == pytest.approx(28.0, abs=0.01)
 
 
 def test_a_start_at_the_limit_may_cool_and_carries_nothing():
@@ -172,8 +172,8 @@ def squares(plan, motors=BOTH):
     *before, state = states(plan)
     for earlier in before:
         list(sight._pieces(plan, earlier))
-    found = next(sight._pieces(plan, state)).squares
-    return dict(zip(motors, found.tolist(), strict=True))
+    result = next(sight._pieces(plan, state)).squares
+    return dict(zip(motors, result.tolist(), strict=True))
 
 
 def friction(speed, end="high"):
@@ -243,9 +243,9 @@ def test_a_drive_that_gains_speed_needs_current_for_the_inertia():
 def test_a_fast_swing_heats_with_its_mean_square_and_not_with_its_peak():
     rate, amplitude = 2.0 * math.pi * 30.0, 12.0 * 0.49 / 0.0024 / (2.0 * math.pi * 30.0) ** 2
     swing = Segment("swing", 1.0, 0.0, {"test": Samples(1e-3, amplitude * np.sin(rate * np.arange(1001) / 1000))}, {})
-    found = squares(made(Engage({"test": Mode.ANGLE}), swing, setup="free", rate=1000.0))["test"]
+    result = squares(made(Engage({"test": Mode.ANGLE}), swing, setup="free", rate=1000.0))["test"]
     resisting = friction(amplitude * rate) / 0.49
-    assert found == pytest.approx(72.0 + 2.0 * resisting * 12.0 * 2.0 / math.pi + resisting**2, rel=0.08)
+    assert result == pytest.approx(72.0 + 2.0 * resisting * 12.0 * 2.0 / math.pi + resisting**2, rel=0.08)
 
 
 def test_a_jump_of_the_speed_heats_for_as_long_as_the_largest_current_takes_for_it():
@@ -354,12 +354,12 @@ steps:
 
 @pytest.mark.parametrize(("text", "above"), [(LOCKED, 60.0), (CRAWLING, 38.0), (SPINNING, 33.0)])
 def test_no_forecast_is_cooler_than_what_the_guard_of_the_run_finds(at_the_bench, monkeypatch, text, above):
-    found = []
+    results = []
 
     class Seen(Windings):
         def __init__(self, *args):
             super().__init__(*args)
-            found.append(self)
+            results.append(self)
             self.peaks = dict.fromkeys(self.motors, -math.inf)
             judge = self.guard._judge
 
@@ -374,7 +374,7 @@ def test_no_forecast_is_cooler_than_what_the_guard_of_the_run_finds(at_the_bench
     request = at_the_bench(text)
     outcome = execute(request, confirm_at_once, lambda _progress: nullcontext())
     assert outcome.status == "complete", outcome.reason
-    [windings] = found
+    [windings] = results
     peaks = windings.forecast(request.plan).peaks
     assert max(windings.peaks.values()) > above
     for role, peak in windings.peaks.items():

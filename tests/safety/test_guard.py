@@ -434,11 +434,11 @@ def test_what_keeps_step_with_the_rotor_or_the_samples_is_no_hotter_than_the_bou
 
 def test_the_shares_that_the_pages_tell_are_those_of_the_code():
     text = (Path(__file__).parents[2] / "docs" / "explanation" / "thermal.md").read_text()
-    told = re.search(
+    match = re.search(
         r"LEA ([\d.]+) % of the heat at 1 kHz, (\d+) % at 500 Hz, and all of it.*?below (\d+) Hz", text, re.S
     )
     at_1_khz = 1e-6 * detour(LEA, largest_acceleration([LEA], SETTINGS.most_current, SETTINGS.most_speed))
-    assert [float(number) for number in told.groups()] == [
+    assert [float(number) for number in match.groups()] == [
         round(100.0 * at_1_khz, 1),
         round(400.0 * at_1_khz),
         round(1000.0 * math.sqrt(at_1_khz)),

@@ -42,8 +42,8 @@ def test_what_is_guaranteed_is_carried_by_the_weakest_actuator():
 def test_nominal_peaks_are_those_of_the_exact_solution_or_a_little_less(name):
     motor = load_motor(name)[0]
     box, limit, durations = Box.exact(motor), motor.limits.winding_temperature, (0.5, 20.0, 300.0)
-    found = nominal(motor, AMBIENT, durations)
-    for share, told in ((TURNING_HEAT_SHARE, found.peaks), (STANDING_HEAT_SHARE, found.standing_peaks)):
+    result = nominal(motor, AMBIENT, durations)
+    for share, told in ((TURNING_HEAT_SHARE, result.peaks), (STANDING_HEAT_SHARE, result.standing_peaks)):
         true = [exact(box, ("low",) * len(NETWORK), limit, duration, share) for duration in durations]
         ratios = np.array(told) / true
         assert ratios.max() <= 1.0

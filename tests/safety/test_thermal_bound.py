@@ -23,7 +23,7 @@ def bounded(currents, speeds, box=None, start=28.0):
     """Bounds at the end of every guard's step, shape (3, n)."""
     bound, rotor = ThermalBound([box or Box.of(LEA)], start), Rotor(LEA, 40.0, 0.0)
     angles = np.cumsum(speeds * STEP_S)
-    found = []
+    results = []
     for begin in range(0, len(currents) - FINE + 1, FINE):
         part = slice(begin, begin + FINE)
         log = np.stack([np.full(FINE, STEP_S), currents[part] ** 2 * STEP_S, angles[part], speeds[part]], axis=1)
@@ -31,8 +31,8 @@ def bounded(currents, speeds, box=None, start=28.0):
         fastest = np.max(np.abs(speeds[part])) * ONE
         heats = span.square / GUARD_S * ONE, span.aligned * ONE, fastest
         bound.step(GUARD_S, *heats, 25.0, span.delay(bound.decay_s) * ONE)
-        found.append(bound.nodes()[:, 0])
-    return np.array(found).T
+        results.append(bound.nodes()[:, 0])
+    return np.array(results).T
 
 
 corner = st.sampled_from([-1.0, 1.0]) | st.floats(-1.0, 1.0)
@@ -107,7 +107,7 @@ def continuous(box, aligned, speed):
 
 def worst_continuous(aligned, speed):
     """Of all plants with constant parameters: the least current that holds one at 130 degC."""
-    found = []
+    results = []
     for across, air in itertools.product(np.linspace(-1.0, 1.0, 21), (-1.0, 1.0)):
         p = Plant.inside((1.0, 1.0, air, across, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0))
 
@@ -123,8 +123,8 @@ def worst_continuous(aligned, speed):
             right = [*(to_air * p.ambient + cold), p.ambient / p.housing_ambient_resistance + friction]
             return float(np.linalg.solve(matrix, right).max())
 
-        found.append(brentq(lambda i: hottest(i) - 130.0, 1.0, 14.0))
-    return min(found)
+        results.append(brentq(lambda i: hottest(i) - 130.0, 1.0, 14.0))
+    return min(results)
 
 
 @pytest.mark.parametrize(

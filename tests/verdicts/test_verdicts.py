@@ -17,8 +17,8 @@ def test_the_papers_verdicts_come_out(actuators, least):
 
 @pytest.mark.parametrize("actuators", [1, 2])
 def test_few_false_verdicts_without_an_effect(actuators):
-    found = [[anova(values).shown for _, values in drawn(seed, False, actuators)] for seed in range(600)]
-    false = np.mean(found, axis=0)
+    results = [[anova(values).shown for _, values in drawn(seed, False, actuators)] for seed in range(600)]
+    false = np.mean(results, axis=0)
     assert (false <= 0.08).all()
     assert (false >= 0.015).all()  # a test that never shows anything would pass the line above
 

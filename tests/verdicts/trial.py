@@ -28,7 +28,7 @@ class Verdict:
 def drawn(seed: int, effect: bool, actuators: int = 1) -> list[tuple[Printed, Values]]:
     """Values of each parameter; trials take turns between the actuators."""
     rng = np.random.default_rng((seed, effect))
-    found = []
+    results = []
     for printed in PARAMETERS:
         value = printed.draw(rng, effect)
         turn = np.arange(printed.trials) % actuators
@@ -36,8 +36,8 @@ def drawn(seed: int, effect: bool, actuators: int = 1) -> list[tuple[Printed, Va
             value = value + (rng.normal(0.0, ACTUATOR_STD * np.mean(printed.means), actuators))[turn]
         names = np.tile([f"a{k}" for k in turn], 3)
         conditions, run = np.repeat(CONDITIONS, printed.trials), np.repeat(np.arange(3), printed.trials)
-        found.append((printed, Values(printed.name, printed.units, value.ravel(), names, conditions, run)))
-    return found
+        results.append((printed, Values(printed.name, printed.units, value.ravel(), names, conditions, run)))
+    return results
 
 
 def by_values(seed: int, effect: bool, actuators: int = 1) -> list[Verdict]:
@@ -49,7 +49,7 @@ def by_runs(seed: int, effect: bool) -> list[Verdict]:
     """Write a run for each condition and experiment, with the noise of the bench's sensors, and compare those."""
     rng = np.random.default_rng((seed, effect))
     trials = {printed.name: np.abs(printed.draw(rng, effect)) for printed in PARAMETERS}
-    found = []
+    results = []
     with tempfile.TemporaryDirectory() as place:
         bench = Bench(Path(place), rng)
         friction, torque = [], []
@@ -61,8 +61,8 @@ def by_runs(seed: int, effect: bool) -> list[Verdict]:
             torque.append(bench.torque(kt=kt, trials=len(kt), condition=condition, noise=noise))
         for paths in (friction, torque):
             compared = {one.name: one for one in compare_all(paths)[1]}
-            found += [_verdict(one, compared[one.name]) for one in PARAMETERS if one.name in compared]
-    return found
+            results += [_verdict(one, compared[one.name]) for one in PARAMETERS if one.name in compared]
+    return results
 
 
 def _verdict(printed: Printed, found: Comparison) -> Verdict:

@@ -47,13 +47,13 @@ def drawn(rng, repeats, actuators=3, between=0.0, interaction=0.0, effect=(0.0, 
 def test_one_actuator_is_the_one_way_analysis_and_tukeys(sizes):
     groups = [RNG.normal(mean, 1.0, size) for mean, size in zip((0.0, 0.8, 1.5), sizes, strict=True)]
     data = one_way(*groups)
-    found = anova(data)
+    result = anova(data)
     expected = stats.f_oneway(*groups)
-    assert found.test.f == pytest.approx(expected.statistic)
-    assert found.test.p == pytest.approx(expected.pvalue)
+    assert result.test.f == pytest.approx(expected.statistic)
+    assert result.test.p == pytest.approx(expected.pvalue)
     tukey = stats.tukey_hsd(*groups)
     low, high = tukey.confidence_interval().low, tukey.confidence_interval().high
-    for pair, (i, k) in zip(pairs(data, found), [(0, 1), (0, 2), (1, 2)], strict=True):
+    for pair, (i, k) in zip(pairs(data, result), [(0, 1), (0, 2), (1, 2)], strict=True):
         assert pair.p == pytest.approx(tukey.pvalue[i, k], rel=1e-6, abs=1e-9)
         assert pair.difference == pytest.approx(-tukey.statistic[i, k])
         assert (pair.low, pair.high) == (pytest.approx(-high[i, k], rel=1e-6), pytest.approx(-low[i, k], rel=1e-6))
@@ -67,16 +67,16 @@ def test_balanced_with_actuators_it_is_the_textbooks_ratios():
     of_conditions = 12 * np.sum((rows - mean) ** 2) / 2
     of_cells = 4 * np.sum((cells - rows[:, None] - columns + mean) ** 2) / 4
     of_error = np.sum((cube - cells[:, :, None]) ** 2) / 27
-    found = anova(data)
-    assert found.interaction.f == pytest.approx(of_cells / of_error)
-    assert found.at_large.f == pytest.approx(of_conditions / of_cells)
-    assert (found.at_large.between, found.at_large.within) == (2, pytest.approx(4))
+    result = anova(data)
+    assert result.interaction.f == pytest.approx(of_cells / of_error)
+    assert result.at_large.f == pytest.approx(of_conditions / of_cells)
+    assert (result.at_large.between, result.at_large.within) == (2, pytest.approx(4))
     additive = (4 * of_cells + 27 * of_error) / 31
-    assert found.test.f == pytest.approx(of_conditions / additive)
-    assert found.test.within == 31
+    assert result.test.f == pytest.approx(of_conditions / additive)
+    assert result.test.within == 31
     between = 12 * np.sum((columns - mean) ** 2) / 2
-    assert found.actuator.f == pytest.approx(between / additive)
-    assert found.actuator_std == pytest.approx(np.sqrt((between - additive) / 12))
+    assert result.actuator.f == pytest.approx(between / additive)
+    assert result.actuator_std == pytest.approx(np.sqrt((between - additive) / 12))
 
 
 def test_an_actuator_that_differs_as_a_whole_takes_nothing_from_the_conditions():
@@ -95,10 +95,10 @@ def _cells():
 def test_of_two_conditions_welchs_test_is_his_t_test():
     groups = [np.array([1.0, 2.5, 3.0, 7.0]), np.array([4.0, 4.2, 4.1, 4.4, 4.0])]
     expected = stats.ttest_ind(*groups, equal_var=False)
-    found = welch(groups)
-    assert found.f == pytest.approx(expected.statistic**2)
-    assert found.within == pytest.approx(expected.df)
-    assert found.p == pytest.approx(expected.pvalue)
+    result = welch(groups)
+    assert result.f == pytest.approx(expected.statistic**2)
+    assert result.within == pytest.approx(expected.df)
+    assert result.p == pytest.approx(expected.pvalue)
     assert welch([groups[0], groups[1][:3]]) is None
 
 
@@ -125,9 +125,9 @@ def test_without_an_effect_one_in_twenty_is_shown(uneven):
 def test_actuators_that_answer_differently_do_not_pass_for_an_effect_at_large(uneven):
     rng = np.random.default_rng(8)
     repeats = {(c, a): (6, 2, 3)[(i + k) % 3] for i, c in enumerate(LABELS) for k, a in enumerate(("a0", "a1", "a2"))}
-    found = [anova(drawn(rng, repeats if uneven else 4, interaction=1.5)) for _ in range(400)]
-    assert np.mean([one.at_large.p < 0.05 for one in found]) < 0.09
-    assert np.mean([one.interaction.shown for one in found]) > 0.8
+    results = [anova(drawn(rng, repeats if uneven else 4, interaction=1.5)) for _ in range(400)]
+    assert np.mean([one.at_large.p < 0.05 for one in results]) < 0.09
+    assert np.mean([one.interaction.shown for one in results]) > 0.8
 
 
 def test_pairs_at_large_have_the_scatter_of_the_interaction():
@@ -135,9 +135,9 @@ def test_pairs_at_large_have_the_scatter_of_the_interaction():
     differences, errors = [], []
     for _ in range(300):
         data = drawn(rng, 4, interaction=2.0)
-        found = anova(data)
-        if found.interaction.shown:
-            pair = pairs(data, found)[0]
+        result = anova(data)
+        if result.interaction.shown:
+            pair = pairs(data, result)[0]
             differences.append(pair.difference)
             errors.append(pair.std**2)
     assert len(differences) > 250
@@ -176,10 +176,10 @@ def test_one_value_a_cell_is_a_block_design():
     rng = np.random.default_rng(13)
     table = rng.normal(0.0, 1.0, (3, 4))
     names = [f"a{k}" for k in range(4)]
-    found = anova(crossed({(c, a): [table[i, k]] for i, c in enumerate(LABELS) for k, a in enumerate(names)}, names))
-    assert (found.test.between, found.test.within) == (2, 6)
-    assert found.interaction is None
-    assert found.at_large == found.test
+    result = anova(crossed({(c, a): [table[i, k]] for i, c in enumerate(LABELS) for k, a in enumerate(names)}, names))
+    assert (result.test.between, result.test.within) == (2, 6)
+    assert result.interaction is None
+    assert result.at_large == result.test
 
 
 @pytest.mark.parametrize(
@@ -201,8 +201,8 @@ def test_what_cannot_be_judged_is_refused(data, message):
 
 def test_broken_assumptions_are_said_with_what_another_test_gives():
     rng = np.random.default_rng(14)
-    found = compare(one_way(rng.normal(0, 1, 10), rng.normal(0, 20, 10), rng.normal(5, 1, 10)))
-    assert any(note.startswith("equal scatter") and "Welch" in note for note in found.notes)
+    result = compare(one_way(rng.normal(0, 1, 10), rng.normal(0, 20, 10), rng.normal(5, 1, 10)))
+    assert any(note.startswith("equal scatter") and "Welch" in note for note in result.notes)
     skewed = compare(one_way(*np.exp(rng.normal(0, 1.5, (3, 20)))))
     assert any(note.startswith("normal residuals") and "Kruskal-Wallis" in note for note in skewed.notes)
     drifting = compare(one_way(*(np.arange(10) + rng.normal(0, 0.5, (3, 10)))))

@@ -20,9 +20,9 @@ def test_scatter_between_actuators_alone_is_students_interval():
     from scipy.stats import t
 
     values = np.array([0.48, 0.50, 0.49, 0.52])
-    found = over_actuators([estimate(value, 0.0) for value in values])
+    result = over_actuators([estimate(value, 0.0) for value in values])
     low, high = t.interval(0.95, 3, values.mean(), values.std(ddof=1) / 2.0)
-    assert (found.value, found.low, found.high) == pytest.approx((values.mean(), low, high))
+    assert (result.value, result.low, result.high) == pytest.approx((values.mean(), low, high))
 
 
 @pytest.mark.parametrize(("between", "own", "shared"), [(1.0, 0.1, 0.1), (0.2, 1.0, 0.0), (0.3, 0.2, 1.0)])
@@ -32,8 +32,8 @@ def test_the_interval_holds_the_mean_of_the_make(between, own, shared, actuators
     held, seeds = 0, 1000
     for _ in range(seeds):
         values = rng.normal(0.0, between, actuators) + rng.normal(0.0, own, actuators) + rng.normal(0.0, shared)
-        found = over_actuators([estimate(value, math.hypot(own, shared)) for value in values])
-        held += found.low <= 0.0 <= found.high
+        result = over_actuators([estimate(value, math.hypot(own, shared)) for value in values])
+        held += result.low <= 0.0 <= result.high
     assert held / seeds > 0.94  # never less than told; more where errors of their own count twice
 
 
@@ -47,8 +47,8 @@ def test_what_is_not_known_takes_no_part():
 
 
 def test_a_difference_is_the_second_less_the_first():
-    found = difference(estimate(2.0, 0.3), estimate(2.6, 0.4))
-    assert (found.value, found.std) == pytest.approx((0.6, 0.5))
-    assert (found.low, found.high) == pytest.approx((0.6 - 0.98, 0.6 + 0.98))
+    result = difference(estimate(2.0, 0.3), estimate(2.6, 0.4))
+    assert (result.value, result.std) == pytest.approx((0.6, 0.5))
+    assert (result.low, result.high) == pytest.approx((0.6 - 0.98, 0.6 + 0.98))
     lopsided = difference(Estimate("x", 1.0, 0.1, 0.9, 1.4, "1"), Estimate("x", 3.0, 0.1, 2.7, 3.3, "1"))
     assert (lopsided.low, lopsided.high) == pytest.approx((2.0 - 0.5, 2.0 + math.hypot(0.3, 0.1)))

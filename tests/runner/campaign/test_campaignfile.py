@@ -171,10 +171,10 @@ WRITTEN = {"steps": "pqr", "actuators": "xy", "conditions": "abc", "repeats": (1
 )
 @settings(max_examples=60)
 def test_an_order_holds_every_run_once_and_its_outer_levels_together(cells, order, shuffled, seed):
-    found = arranged(cells, order, WRITTEN, shuffled, seed)
-    assert Counter(found) == Counter(cells)
-    assert found == arranged(cells[::-1], order, WRITTEN, shuffled, seed)
-    outermost = [cell.at(order[0]) for cell in found]
+    result = arranged(cells, order, WRITTEN, shuffled, seed)
+    assert Counter(result) == Counter(cells)
+    assert result == arranged(cells[::-1], order, WRITTEN, shuffled, seed)
+    outermost = [cell.at(order[0]) for cell in result]
     assert len([a for a, b in pairwise(outermost) if a != b]) == len(set(outermost)) - 1
 
 
@@ -183,9 +183,9 @@ def test_a_shuffled_level_takes_every_order_and_each_block_its_own():
     drawn = Counter()
     alike = 0
     for seed in range(600):
-        found = "".join(cell.condition for cell in arranged(cells, DEFAULT_ORDER, WRITTEN, {"conditions"}, seed))
-        drawn[found[:3]] += 1
-        alike += found[:3] == found[3:]
+        result = "".join(cell.condition for cell in arranged(cells, DEFAULT_ORDER, WRITTEN, {"conditions"}, seed))
+        drawn[result[:3]] += 1
+        alike += result[:3] == result[3:]
     assert len(drawn) == 6
     assert all(60 <= times <= 145 for times in drawn.values())  # 100 +- 9
     assert 60 <= alike <= 145

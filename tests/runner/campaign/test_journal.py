@@ -44,12 +44,12 @@ def test_no_other_bytes_pass_for_it(written, place, what):
     changed = data[:at] if what is None else data[:at] + what + data[at + 1 :]
     (folder / JOURNAL_FILE).write_bytes(changed)
     try:
-        found = read(folder, CAMPAIGN)
+        result = read(folder, CAMPAIGN)
     except InputError as refused:
         assert len(str(refused).splitlines()) == 1
         assert str(folder / JOURNAL_FILE) in str(refused)
     else:
-        assert found == JOURNAL  # white space, or the same byte again
+        assert result == JOURNAL  # white space, or the same byte again
 
 
 @pytest.mark.parametrize("text", ["[]", "{}", '{"format": "leactl-run"}', "null", "1" * 5000, "[" * 100_000])
