@@ -56,10 +56,12 @@ def test_results_keep_their_order_and_a_lost_worker_costs_none(cluster, tmp_path
         done = list(workers.as_done(ends_its_worker_once, [(name, tmp_path) for name in NAMES]))
     with Workers() as workers:
         here = list(workers.in_order(told_apart, [(name,) for name in NAMES]))
-    assert [one.faults for one in results] == [one.faults for one in here]
-    assert [one.value()[0] for one in results if not one.faults] == [one.value()[0] for one in here if not one.faults]
-    assert [one.value() for one in lost] == NAMES
-    assert sorted(one.value() for one in done) == sorted(NAMES)
+    assert [result.faults for result in results] == [item.faults for item in here]
+    assert [result.value()[0] for result in results if not result.faults] == [
+        item.value()[0] for item in here if not item.faults
+    ]
+    assert [item.value() for item in lost] == NAMES
+    assert sorted(item.value() for item in done) == sorted(NAMES)
     assert sorted(process.poll() is None for process in processes) == [False, True]
 
 

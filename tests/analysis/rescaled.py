@@ -41,8 +41,8 @@ def factor(units, size):
         if part == "/":
             sign = -1
             continue
-        for one in re.findall(r"N\*m|[A-Za-z]+(?:\^\d)?", part):
-            name, _, power = one.partition("^")
+        for match in re.findall(r"N\*m|[A-Za-z]+(?:\^\d)?", part):
+            name, _, power = match.partition("^")
             found *= base.get(name, 1.0) ** (sign * int(power or 1))
     return found
 
@@ -65,7 +65,7 @@ def rescaled(path, size, folder):
         )
         time = size[2]
         for name, specs in run.streams.items():
-            block = [run.channel_at(f"{name}/{one.name}").values * factor(one.units, size) for one in specs]
+            block = [run.channel_at(f"{name}/{spec.name}").values * factor(spec.units, size) for spec in specs]
             writer.append(name, run.time(name) * time, np.column_stack(block))
         for step in run.steps:
             told = {key: value * factor(unit_of(key), size) if number(value) else value

@@ -38,8 +38,8 @@ def area(polygons):
     """Sum of the polygons' areas, by the corners in turn (Meister 1769)."""
     corners = [np.array(polygon) for polygon in polygons]
     return sum(
-        abs(np.dot(one[:, 0], np.roll(one[:, 1], -1)) - np.dot(one[:, 1], np.roll(one[:, 0], -1))) / 2
-        for one in corners
+        abs(np.dot(corner[:, 0], np.roll(corner[:, 1], -1)) - np.dot(corner[:, 1], np.roll(corner[:, 0], -1))) / 2
+        for corner in corners
     )
 
 

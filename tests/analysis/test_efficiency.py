@@ -55,9 +55,9 @@ def test_without_noise_every_power_comes_back(tmp_path_factory, r, kt, b, f, dri
     }
     for name, value in expected.items():
         assert result.find(name).value == pytest.approx(value, rel=1e-7, abs=1e-7), name
-    [grid] = [one for one in result.grids if one.name == f"{driven}driven"]
+    [grid] = [grid for grid in result.grids if grid.name == f"{driven}driven"]
     np.testing.assert_allclose(np.array(grid.values["efficiency_1"])[:, ::-1], minus, rtol=1e-7, atol=1e-9)
-    assert grid.axes == {"velocity_rad_s": SPEEDS, "current_A": tuple(-one for one in reversed(CURRENTS))}
+    assert grid.axes == {"velocity_rad_s": SPEEDS, "current_A": tuple(-item for item in reversed(CURRENTS))}
 
 
 @pytest.mark.long
@@ -106,9 +106,9 @@ def clear_of(gain):
 def test_noise_alone_is_covered_too(coupled):
     plus, _ = Truth().efficiencies()
     results = [analyzed(analyze, coupled.run(zero=0.3)).find("driving_efficiency") for _ in range(30)]
-    assert sum(covered(one, plus.mean()) for one in results) >= 25
-    printed = math.sqrt(np.mean([one.std**2 for one in results]))
-    assert np.std([one.value for one in results], ddof=1) == pytest.approx(printed, rel=0.45)
+    assert sum(covered(result, plus.mean()) for result in results) >= 25
+    printed = math.sqrt(np.mean([result.std**2 for result in results]))
+    assert np.std([result.value for result in results], ddof=1) == pytest.approx(printed, rel=0.45)
 
 
 def test_measured_voltages_give_the_power_that_warm_windings_take(coupled):
@@ -229,7 +229,7 @@ def test_passes_that_differ_decide_the_interval(coupled):
 
 def test_one_actuator_alone_has_its_own_figures(coupled):
     result = analyzed(analyze, coupled.run(without=("load_current", "load_velocity")))
-    assert {one.name.split("_")[0] for one in result.results} == {"driving"}
+    assert {estimate.name.split("_")[0] for estimate in result.results} == {"driving"}
     assert noted(result, "no current of the load actuator")
     assert result.find("driving_efficiency").value == pytest.approx(Truth().efficiencies()[0].mean(), abs=2e-4)
 

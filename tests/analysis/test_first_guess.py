@@ -31,5 +31,5 @@ def test_readings_that_are_averaged_keep_what_is_switched_on():
     assert np.trapezoid(thin.supply.heat, thin.supply.time) == pytest.approx(
         np.trapezoid(whole.supply.heat, whole.supply.time), rel=0.02
     )
-    share = [np.mean(one.supply.on) for one in (whole, thin)]
+    share = [np.mean(item.supply.on) for item in (whole, thin)]
     assert share[1] == pytest.approx(share[0], abs=0.02)

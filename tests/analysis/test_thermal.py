@@ -92,7 +92,7 @@ def test_the_covariance_is_joint_and_the_combination_known_better_than_its_parts
     assert np.linalg.eigvalsh(table / np.sqrt(np.outer(np.diag(table), np.diag(table)))).min() > 0.0
     assert np.sqrt(np.diag(table))[0] == pytest.approx(whole[1].find(NETWORK[0]).std)
     parallel = whole[1].find("parallel_thermal_resistance")
-    assert all(parallel.std / parallel.value < 0.2 * one.std / one.value for one in map(whole[1].find, NETWORK))
+    assert all(parallel.std / parallel.value < 0.2 * item.std / item.value for item in map(whole[1].find, NETWORK))
     body = json.loads(json.dumps(whole[1].as_json(), allow_nan=False))
     assert body["covariances"][0]["actuator"] == "a1"
 

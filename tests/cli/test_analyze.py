@@ -132,11 +132,16 @@ def test_several_experiments_are_analysed_each_by_itself(bench, tmp_path, as_fol
     done = leactl("analyze", *given, "--json")
     assert (done.returncode, done.stderr) == (0, "")
     answer = json.loads(done.stdout)
-    counts = {one["experiment"]: len(one["runs"]) for one in answer["analyses"]}
+    counts = {analysis["experiment"]: len(analysis["runs"]) for analysis in answer["analyses"]}
     assert (counts, answer["faults"]) == ({"torque-constant": 2, "friction": 1}, [])
-    assert {(one["format"], one["format_version"]) for one in (answer, *answer["analyses"])} == {("leactl-analysis", 1)}
+    assert {(item["format"], item["format_version"]) for item in (answer, *answer["analyses"])} == {
+        ("leactl-analysis", 1)
+    }
     alone = json.loads(leactl("analyze", paths[1], "--json").stdout)
-    assert next(one for one in answer["analyses"] if one["experiment"] == "friction")["results"] == alone["results"]
+    assert (
+        next(analysis for analysis in answer["analyses"] if analysis["experiment"] == "friction")["results"]
+        == alone["results"]
+    )
     text = leactl("analyze", *given).stdout
     assert text.count("torque-constant, 2 runs:") == text.count("friction, 1 run:") == 1
 
@@ -147,7 +152,7 @@ def test_an_option_goes_to_the_experiments_that_take_it(bench, tmp_path):
     document = json.loads(leactl("analyze", tmp_path, "--torque-constant", "0.98", "--json").stdout)
     plain = json.loads(leactl("analyze", tmp_path, "--json").stdout)
     values = [
-        {item["name"]: item["value"] for one in answer["analyses"] for item in one["results"]}
+        {item["name"]: item["value"] for analysis in answer["analyses"] for item in analysis["results"]}
         for answer in (document, plain)
     ]
     assert values[0]["coulomb_friction"] == pytest.approx(2 * values[1]["coulomb_friction"], rel=0.01)

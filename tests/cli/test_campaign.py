@@ -165,7 +165,7 @@ def struck(number, moment, *arguments):
 
 
 @pytest.mark.parametrize(
-    "number", [signal.SIGINT, *(pytest.param(one, marks=pytest.mark.long) for one in (signal.SIGTERM, signal.SIGHUP))]
+    "number", [signal.SIGINT, *(pytest.param(item, marks=pytest.mark.long) for item in (signal.SIGTERM, signal.SIGHUP))]
 )
 @pytest.mark.parametrize(
     ("command", "moment"),

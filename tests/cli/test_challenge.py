@@ -12,8 +12,8 @@ def test_a_short_search_is_pure_json_with_its_progress_beside_it():
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
     assert answer["held"] is True
-    assert [one["angle"] for one in answer["searches"]] == ["true", "noisy", "stuck", "lost", "drifting"]
-    assert all(one["hottest"]["peak_degC"] <= answer["limit_degC"] for one in answer["searches"])
+    assert [search["angle"] for search in answer["searches"]] == ["true", "noisy", "stuck", "lost", "drifting"]
+    assert all(search["hottest"]["peak_degC"] <= answer["limit_degC"] for search in answer["searches"])
     assert "search 5 of 5: test, 20 Hz, drifting angle" in done.stderr
 
 

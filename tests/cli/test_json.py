@@ -77,11 +77,11 @@ def test_faults_are_json_where_json_was_asked_for(tmp_path, monkeypatch, words, 
     done = leactl(*words, "--json")
     assert done.returncode == 2
     told = json.loads(done.stdout)["faults"]
-    assert all(one.keys() == {"file", "line", "column", "message"} and one["message"] for one in told)
+    assert all(item.keys() == {"file", "line", "column", "message"} and item["message"] for item in told)
     if words[0] == "gap":  # whatever else a protocol lacks as a model
-        assert {one["file"] for one in told} == {"bad.yaml", "none.h5"}
+        assert {item["file"] for item in told} == {"bad.yaml", "none.h5"}
     else:
-        assert [(one["file"], one["line"], one["column"]) for one in told] == faults
+        assert [(item["file"], item["line"], item["column"]) for item in told] == faults
     assert len([line for line in done.stderr.splitlines() if line.startswith("leactl: ")]) == len(told)
 
 

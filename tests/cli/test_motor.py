@@ -90,7 +90,7 @@ def test_a_phase_inductance_in_mh_is_told(tmp_path):
 def test_energy_of_three_motors_at_their_best_ratios_and_at_one(walk):
     options = (str(walk), "--stride-time", "1.1", "--body-mass", "70")
     body = json.loads(asked("energy", *options, "--json"))["cycles"][0]
-    best = {one["motor"]: one for one in body["motors"]}
+    best = {motor["motor"]: motor for motor in body["motors"]}
     assert best["ec-4pole-30"]["energies_J"]["coulomb"] is None
     for motor, one in best.items():
         energies = one["energies_J"]
@@ -108,7 +108,7 @@ def test_scale_and_preload_say_what_they_take_for_granted():
     assert "torque_constant [N*m/A]         0.14      0.7891     r^2" in text
     assert "delta winding throughout" in text
     body = json.loads(asked("preload", "--json"))
-    holds = {one["name"]: [gap["holds"] for gap in one["gaps"]] for one in body["readings"]}
+    holds = {reading["name"]: [gap["holds"] for gap in reading["gaps"]] for reading in body["readings"]}
     assert holds["static load, gap is deflection"] == [True, True, False]
     assert holds["told preload, beyond the gap at rest"] == [True, True, True]
     assert "12 bearings a side, 300 N each" in asked("preload")

@@ -50,7 +50,7 @@ def test_what_follows_compare_is_the_other_set_up_to_the_next_option(here):
     others = sorted(str(path) for path in (here / "autumn").glob("*.h5"))
     done = leactl("report", "spring", "--compare", *others, "--json")
     sets = json.loads(done.stdout)["sets"]
-    assert [(one["name"], len(one["runs"])) for one in sets] == [("spring", 2), ("autumn", 2)]
+    assert [(item["name"], len(item["runs"])) for item in sets] == [("spring", 2), ("autumn", 2)]
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,10 @@ def test_what_cannot_be_done_is_one_line_each_and_writes_nothing(here, given, ho
     html = Path(how["html"]) if "html" in how else None
     with pytest.raises(InputError) as raised:
         make(
-            [Path(one) for one in given], [], {}, DatasheetOutputs(html, how.get("pdf", False), how.get("json", False))
+            [Path(item) for item in given],
+            [],
+            {},
+            DatasheetOutputs(html, how.get("pdf", False), how.get("json", False)),
         )
     assert raised.value.faults[0].startswith(fault)
     assert not (here / "out.html").exists()

@@ -50,7 +50,7 @@ def test_a_shell_gets_the_sentence_the_tables_and_json(bench):
     assert "coulomb_friction differs between conditions (F(2, 12) = " in " ".join(done.stdout.split())
     assert "one actuator ('a1'): no random factor" in " ".join(done.stdout.split())
     body = json.loads(leactl("stats", *names, "--json").stdout, parse_constant=lambda name: pytest.fail(name))
-    results = {one["name"]: one for one in body["results"]}
+    results = {result["name"]: result for result in body["results"]}
     assert [row["count"] for row in results["coulomb_friction"]["conditions"]] == [5, 5, 5]
     assert results["coulomb_friction"]["conditions"][0]["mean"] == pytest.approx(0.24, abs=0.01)
     assert not results["viscous_damping"]["shown"]
@@ -58,14 +58,16 @@ def test_a_shell_gets_the_sentence_the_tables_and_json(bench):
 
 
 def test_two_actuators_are_a_random_factor(bench):
-    result = {one.name: one for one in compare_all(runs(bench, ("a1", "a2")))[1]}["coulomb_friction"]
+    result = {comparison.name: comparison for comparison in compare_all(runs(bench, ("a1", "a2")))[1]}[
+        "coulomb_friction"
+    ]
     assert (result.anova.test.between, result.anova.test.within) == (2, 26)
     assert any("holds for these 2 actuators" in note for note in result.notes)
 
 
 def test_missing_repeats_and_cells_are_said_and_the_rest_is_compared(bench):
     paths = runs(bench, ("a1", "a2"))[:-1] + runs(bench, ("a1",), trials=2, conditions=("loaded",))
-    result = {one.name: one for one in compare_all(paths)[1]}["coulomb_friction"]
+    result = {comparison.name: comparison for comparison in compare_all(paths)[1]}["coulomb_friction"]
     assert any(note.startswith("numbers are unequal: unloaded 10, design 10, loaded 7") for note in result.notes)
     assert "not measured: a2 loaded" in result.notes
     assert result.anova.test.shown
@@ -76,7 +78,7 @@ def test_a_trial_whose_samples_are_missing_is_left_out_and_said(bench):
         columns["velocity"][time < 25.0] = np.nan  # the first of five trials, ten holds of 2.5 s
 
     paths = [*runs(bench, conditions=("unloaded", "design")), *runs(bench, conditions=("loaded",), edit=lost)]
-    result = {one.name: one for one in compare_all(paths)[1]}["coulomb_friction"]
+    result = {comparison.name: comparison for comparison in compare_all(paths)[1]}["coulomb_friction"]
     assert [group.count for group in result.groups] == [5, 5, 4]
     assert any("1 of 5 trials gave nothing (1)" in note for note in result.notes)
 
@@ -86,7 +88,7 @@ def test_what_the_analysis_is_told_is_in_the_values(bench):
     means = []
     for told in ([], ["--torque-constant", "0.98"], ["--set", "torque_constant=0.98"]):
         body = json.loads(leactl("stats", *names, "--json", *told).stdout)
-        [friction] = [one for one in body["results"] if one["name"] == "coulomb_friction"]
+        [friction] = [result for result in body["results"] if result["name"] == "coulomb_friction"]
         means.append([row["mean"] for row in friction["conditions"]])
     assert means[1] == pytest.approx([2.0 * mean for mean in means[0]])
     assert means[2] == means[1]
@@ -97,7 +99,7 @@ def test_what_the_analysis_is_told_is_in_the_values(bench):
 
 def test_by_run_takes_each_run_once(bench):
     paths = runs(bench) + runs(bench)
-    result = {one.name: one for one in compare_all(paths, by_run=True)[1]}["coulomb_friction"]
+    result = {comparison.name: comparison for comparison in compare_all(paths, by_run=True)[1]}["coulomb_friction"]
     assert [group.count for group in result.groups] == [2, 2, 2]
 
 
@@ -122,7 +124,7 @@ def coasts(bench, actuators=("a1", "a2")):
 def test_one_value_a_run_is_taken_and_said_where_no_trial_can_be_analysed(bench):
     names = [path.name for path in coasts(bench)]
     body = json.loads(leactl("stats", *names, "--json").stdout)
-    results = {one["name"]: one for one in body["results"]}
+    results = {result["name"]: result for result in body["results"]}
     assert [row["count"] for row in results["coulomb_friction"]["conditions"]] == [2, 2, 2]
     assert results["coulomb_friction"]["shown"]
     said = [note for note in results["coulomb_friction"]["notes"] if note.startswith("one value a run")]
@@ -131,7 +133,7 @@ def test_one_value_a_run_is_taken_and_said_where_no_trial_can_be_analysed(bench)
     text = " ".join(leactl("stats", *names).stdout.split())
     assert "note: one value a run, its repeats together: no single trial could be analysed (" in text
     asked = json.loads(leactl("stats", *names, "--by-run", "--json").stdout)["results"]
-    assert [one["anova"] for one in asked] == [one["anova"] for one in body["results"]]
+    assert [item["anova"] for item in asked] == [result["anova"] for result in body["results"]]
 
 
 def test_too_few_runs_to_take_each_once_say_what_is_needed(bench):
@@ -151,12 +153,12 @@ def test_a_result_that_single_trials_do_not_tell_is_compared_by_runs_and_the_oth
         for label in ("design", "loaded")
         for _ in range(2)
     ]
-    results = {one.name: one for one in compare_all(paths)[1]}
+    results = {comparison.name: comparison for comparison in compare_all(paths)[1]}
     assert [group.count for group in results["highest_torque"].groups] == [2, 2]
     assert any(note.startswith("one value a run") for note in results["highest_torque"].notes)
     assert [group.count for group in results["corner_speed"].groups] == [4, 4]
     assert not any(note.startswith("one value a run") for note in results["corner_speed"].notes)
-    assert [one.name for one in compare_all(paths, ["highest_torque"])[1]] == ["highest_torque"]
+    assert [comparison.name for comparison in compare_all(paths, ["highest_torque"])[1]] == ["highest_torque"]
 
 
 def test_answers_of_analyze_are_repeats(bench, tmp_path):
@@ -165,7 +167,7 @@ def test_answers_of_analyze_are_repeats(bench, tmp_path):
         path = tmp_path / f"answer{number}.json"
         path.write_text(json.dumps(analyze_runs(runs(bench)).as_json()))
         paths.append(path)
-    result = {one.name: one for one in compare_all(paths)[1]}["coulomb_friction"]
+    result = {comparison.name: comparison for comparison in compare_all(paths)[1]}["coulomb_friction"]
     with pytest.raises(InputError, match=r"answer0\.json: .* takes no torque_constant; give runs"):
         compare_all(paths, torque_constant=0.5)
     assert [group.count for group in result.groups] == [3, 3, 3]
@@ -228,9 +230,9 @@ def test_runs_of_several_experiments_are_compared_each_by_itself(bench, tmp_path
     done = leactl("stats", tmp_path, "--json", "--result", "coulomb_friction", "--result", "torque_constant")
     assert (done.returncode, done.stderr) == (0, "")
     friction, torque = json.loads(done.stdout)["comparisons"]
-    of = next(one for one in alone["results"] if one["name"] == "coulomb_friction")
+    of = next(result for result in alone["results"] if result["name"] == "coulomb_friction")
     assert (friction["experiment"], friction["results"]) == ("friction", [of])
-    assert (torque["experiment"], [one["name"] for one in torque["results"]]) == (
+    assert (torque["experiment"], [result["name"] for result in torque["results"]]) == (
         "torque-constant",
         ["torque_constant"],
     )
@@ -250,7 +252,7 @@ def test_an_experiment_without_two_conditions_is_named_and_the_others_compared(b
     torques(bench)
     done = leactl("stats", tmp_path, "--json")
     assert done.returncode == 0
-    assert [one["experiment"] for one in json.loads(done.stdout)["comparisons"]] == ["torque-constant"]
+    assert [comparison["experiment"] for comparison in json.loads(done.stdout)["comparisons"]] == ["torque-constant"]
     assert done.stderr.startswith("leactl: not compared: friction: found one condition, 'design'")
     (tmp_path / "none.h5").write_text("no run at all")
     spoilt = leactl("stats", tmp_path, "--json")
@@ -300,4 +302,4 @@ def test_limits_of_a_difference_keep_their_digits():
         alone, number = np.full(10, "LEA-1"), np.arange(10)
         sentence = compare(Values("coulomb_friction", "N*m", drawn, alone, names, number, ())).sentence
         difference, low, high = re.search(r"by ([\d.]+) \[([\d.]+), ([\d.]+)\] N", sentence).groups()
-        assert [len(one.lstrip("0.")) for one in (difference, low, high)] == [3, 2, 2]
+        assert [len(item.lstrip("0.")) for item in (difference, low, high)] == [3, 2, 2]

@@ -180,12 +180,12 @@ def test_the_paper_s_heat_is_admitted_and_run_after_two_short_heats(here):
     assert done.returncode == 0, done.stderr
     body = json.loads(done.stdout)
     assert body["done"]
-    assert [one["whole"] for one in body["runs"]] == [False, False, True]
+    assert [run["whole"] for run in body["runs"]] == [False, False, True]
     page = " ".join((Path(__file__).parents[2] / "docs" / "explanation" / "thermal.md").read_text().split())
     match = re.search(
         r"heats of (\d+) s and (\d+) s, and the whole of (\d+) s, by then with at most (\S+) degC of (\S+?)\. ", page
     )
-    seconds, temperatures = [one["heating_s"] for one in body["runs"]], [body["peak_degC"], body["limit_degC"]]
+    seconds, temperatures = [run["heating_s"] for run in body["runs"]], [body["peak_degC"], body["limit_degC"]]
     assert list(map(float, match.groups())) == pytest.approx([*seconds, *temperatures], abs=0.5)
     with Run.open(here / body["runs"][-1]["run"]) as run:
         assert run.attributes["status"] == "complete"

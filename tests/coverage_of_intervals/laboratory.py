@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for case in CASES[experiment]:
             result: list[tuple[Judgement, bool]] = []
             answers: list[Answer] = []
-            while not answers or (len(answers) < AGAIN * asked.seeds and any(faults_of(*one) for one in result)):
+            while not answers or (len(answers) < AGAIN * asked.seeds and any(faults_of(*item) for item in result)):
                 first = len(answers) + 1
                 wanted = [(experiment, case, seed) for seed in range(first, first + asked.seeds)]
                 with Pool(asked.processes) as pool:

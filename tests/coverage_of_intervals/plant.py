@@ -99,7 +99,7 @@ class WatchedRig(Rig):
             one = values[time > STEADY_S].mean()
             results.append(figures(time, (values - values[0]) / (one - values[0])))
         names = ("rise_time", "overshoot", "settling_time")
-        return StepFigures(*(float(np.mean([getattr(one, name) for one in results])) for name in names))
+        return StepFigures(*(float(np.mean([getattr(result, name) for result in results])) for name in names))
 
 
 def position_bandwidth(loops: Mapping[str, float], condition: str, std: float, seed: int) -> float:

@@ -50,7 +50,7 @@ def test_three_withheld_effects_are_named_and_the_gap_closes_in_mujoco(workshop)
     assert [run["run"] for run in answer["runs"]] == [f"{kind}-b.h5" for kind in KINDS]
     assert all(run["after_rad"] < 0.5 * run["before_rad"] for run in answer["runs"])
     document = yaml.safe_load((workshop / "augmented.yaml").read_text())
-    band = next(one["parameters"]["band"] for one in document["effects"] if one["effect"] == "servo_dead_band")
+    band = next(effect["parameters"]["band"] for effect in document["effects"] if effect["effect"] == "servo_dead_band")
     assert band == pytest.approx(WITHHELD.band, rel=0.1)
     assert mujoco.MjModel.from_xml_path(str(workshop / "new.xml")).nu == 1
     assert not [path for path in workshop.iterdir() if path.name.startswith(".")]

@@ -60,7 +60,7 @@ def test_an_export_says_where_everything_went(augmented, tmp_path):
     assert not (tmp_path / "b.xml").exists()
     answer = json.loads(leactl(*words[:-4], "--out", tmp_path / "c.xml", "--json").stdout)
     assert answer["written"] == [str(tmp_path / "c.xml")]
-    assert [(one["effect"], one["goes_to"]) for one in answer["effects"]] == [
+    assert [(effect["effect"], effect["goes_to"]) for effect in answer["effects"]] == [
         ("stribeck", "callbacks"),
         ("transport_delay", "callbacks"),
         ("joint_elasticity", "nowhere"),

@@ -52,7 +52,7 @@ def test_calibrated_figures_are_read_by_mujoco_and_all_else_stays(tmp_path):
         '-    <position name="servo" joint="knee" kp="15" kv="0.6" forcerange="-8 8"/> <!-- by hand -->',
         '+    <position name="servo" joint="knee" kp="18" kv="0" forcerange="-8 8"/> <!-- by hand -->',
     ]
-    told = {(one.element, one.attribute): (one.before, one.after) for one in answer.patched.changes}
+    told = {(change.element, change.attribute): (change.before, change.after) for change in answer.patched.changes}
     assert told["position 'servo'", "kp"] == ("15", "18")
     assert told["joint 'knee'", "damping"] == (None, "0.68")
     again = import_joint(tmp_path / "out.xml", "knee", supply=24.0).model

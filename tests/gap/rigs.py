@@ -80,7 +80,7 @@ def write(path, kind, mechanical, channels):
         file.create_group("setup").attrs["mechanical"] = mechanical
         streams = file.create_group("streams")
         for channel in channels:
-            stream = next((one for one in streams.values() if np.array_equal(one["time"][:], channel.time)), None)
+            stream = next((value for value in streams.values() if np.array_equal(value["time"][:], channel.time)), None)
             if stream is None:
                 stream = streams.create_group(f"clock{len(streams)}")
                 stream["time"] = channel.time

@@ -122,9 +122,9 @@ def pictures_what_it_explains(cause):
     assert seen.variable in effect_definition(cause.effect).acts_over
     assert seen.after_rms < 0.4 * seen.before_rms
     assert seen.off_zero_before >= 2
-    drawn = [one for one in seen.bins if one.before is not None and np.isfinite(one.before)]
+    drawn = [item for item in seen.bins if item.before is not None and np.isfinite(item.before)]
     assert len(drawn) >= 2
-    assert all(one.low < one.high for one in drawn)
+    assert all(case.low < case.high for case in drawn)
 
 
 @pytest.mark.long

@@ -152,7 +152,7 @@ def test_xl330_free_runs_at_a_gain_left_out(tmp_path):
         left_out = [record for record in records if record.setup["drive_gain"] == gain]
         result = fit_effect_sets(others, left_out, model, [])
         tried = (result.calibrated, result.augmented)
-        errors.append([mean_absolute_error(servo_runs(left_out, model), one.parameters) for one in tried])
+        errors.append([mean_absolute_error(servo_runs(left_out, model), item.parameters) for item in tried])
         standing.append({item.effect for item in result.standing if item.probability > 0.5})
     calibrated, augmented = np.mean(errors, axis=0)
     assert augmented <= 0.040

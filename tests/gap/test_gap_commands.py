@@ -171,7 +171,7 @@ def test_compare_measures_each_channel(run, model_file, tmp_path):
     assert leactl("gap", "simulate", model_file, run, "--out", out).returncode == 0
     answer = leactl("gap", "compare", run, out, "--json")
     assert answer.returncode == 0, answer.stderr
-    results = {one["quantity"]: one for one in json.loads(answer.stdout)["channels"]}
+    results = {channel["quantity"]: channel for channel in json.loads(answer.stdout)["channels"]}
     assert results["q_axis_current_reference"]["rms"] == 0.0
     assert results["q_axis_current_reference"]["correlation"] == pytest.approx(1.0)
     assert results["torque"]["units"] == "N*m"
@@ -225,15 +225,15 @@ def test_an_effect_is_explained_with_equation_units_and_ranges():
 def test_all_effects_are_listed_and_explained():
     listed = leactl("gap", "effects").stdout
     everything = json.loads(leactl("gap", "effects", "--json").stdout)["effects"]
-    assert [one["effect"] for one in everything] == list(library())
+    assert [item["effect"] for item in everything] == list(library())
     assert all(name in listed for name in library())
 
 
 def test_faults_of_a_set_up_are_listed_and_explained():
     everything = json.loads(leactl("gap", "effects", "--json").stdout)["setup_faults"]
     listed = leactl("gap", "effects").stdout
-    assert {"channel_sign", "channel_scale", "frozen_channel"} <= {one["effect"] for one in everything}
-    assert all(one["family"] == "setup" and one["meaning"] in " ".join(listed.split()) for one in everything)
+    assert {"channel_sign", "channel_scale", "frozen_channel"} <= {item["effect"] for item in everything}
+    assert all(item["family"] == "setup" and item["meaning"] in " ".join(listed.split()) for item in everything)
     assert "ammeter" in leactl("gap", "effects", "channel_scale").stdout
 
 

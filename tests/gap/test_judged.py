@@ -79,10 +79,10 @@ def test_an_effect_that_makes_held_out_runs_worse_is_doubted():
 def test_a_line_and_an_unrest_are_as_likely_as_not_at_their_thresholds_and_the_higher_one_is_told(height):
     line = unexplained_in_channels({}, {CHANNEL: Line(EVEN_LINE_HEIGHT * height, 17.25)})
     rest = unexplained_in_channels({CHANNEL: EVEN_UNREST * height}, {})
-    for one in (line, rest):
-        assert (one.probability > 0.5) is (height > 1.0)
-        assert (one.probability < 0.5) is (height < 1.0)
-        assert one.channel == CHANNEL
+    for item in (line, rest):
+        assert (item.probability > 0.5) is (height > 1.0)
+        assert (item.probability < 0.5) is (height < 1.0)
+        assert item.channel == CHANNEL
     assert "rings at about 17.2 Hz" in line.note
     both = unexplained_in_channels(
         {CHANNEL: 2.0 * EVEN_UNREST, OTHER: 3.0 * EVEN_UNREST}, {CHANNEL: Line(EVEN_LINE_HEIGHT / 2.0, 3.0)}
@@ -193,7 +193,7 @@ def test_the_nearest_effects_are_those_refused_then_doubted_then_not_entered_eac
     named = Judged(finding("stribeck", 20.0), 1.0, 0.99, (), ())
     rest = [finding("presliding", 1.5), finding("backlash", 2.5), finding("cogging", 9.0), finding("bus_sag", 0.5)]
     told = nearest_effects(SimpleNamespace(further_effects=rest), [named, doubted], [Near("torque_ripple", "it grew")])
-    assert [one.effect for one in told] == ["torque_ripple", "cogging", "backlash", "presliding"]
+    assert [item.effect for item in told] == ["torque_ripple", "cogging", "backlash", "presliding"]
     assert told[0].refused_because == "it grew"
     assert told[1].refused_because.startswith("its size is 2 times")
     assert told[2].refused_because == reason_kept_out(rest[1])

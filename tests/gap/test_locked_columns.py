@@ -78,7 +78,7 @@ def test_two_coupled_rotors_rub_as_the_model_says_of_each():
     run = record("coupled", reference=1.0, fast=channels)
 
     def load_columns(**load):
-        [both] = [one for one in equations(run, model(load=load)) if one.name == "both_torque"]
+        [both] = [equation for equation in equations(run, model(load=load)) if equation.name == "both_torque"]
         return [both.calibration[f"load.{name}"] for name in ("viscous_damping", "coulomb_friction")]
 
     alike, other = load_columns(), load_columns(viscous_damping=2.0 * DAMPING, coulomb_friction=0.0)

@@ -28,7 +28,7 @@ def test_white_noise_is_drawn_again_at_its_size_whatever_moves_slowly_beside_it(
 def test_noise_reaches_down_to_the_slowest_however_little_a_segment_tells_of_it(width):
     noise = np.random.default_rng(4).standard_normal(COUNT)
     whole = COUNT // width * width
-    slow, again = (np.std(np.mean(one[:whole].reshape(-1, width), axis=1)) for one in (noise, drawn_again(noise)))
+    slow, again = (np.std(np.mean(item[:whole].reshape(-1, width), axis=1)) for item in (noise, drawn_again(noise)))
     assert again == pytest.approx(slow, rel=0.35)
 
 

@@ -198,7 +198,7 @@ def test_what_runs_hardly_show_is_not_corrected_and_stands_in_its_standard_error
 
 def test_a_simulated_run_has_the_channels_the_noise_and_the_rounding_of_the_measured_one(case):
     [again] = sound_runs(case.fitted, [case.model], np.random.default_rng(1))
-    assert [one.name for one in again] == [one.name for one in case.fitted]
+    assert [item.name for item in again] == [fit.name for fit in case.fitted]
     moving = [pair for pair in zip(again, case.fitted, strict=True) if pair[1].fast is not None]
     assert len(moving) == 4
     for one, measured in moving:
@@ -226,7 +226,7 @@ def test_machines_are_off_by_what_is_usual_and_together_not_at_all(name, count):
 
 def test_a_torque_constant_that_a_loud_voltage_does_not_tell_is_held_without_a_bias(case):
     """Its usual error stands in the errors of the torques, and in none of their values."""
-    free, random = deepcopy([one for one in case.fitted if one.mechanical == "free"]), np.random.default_rng(1)
+    free, random = deepcopy([fit for fit in case.fitted if fit.mechanical == "free"]), np.random.default_rng(1)
     for one in free:
         voltage = one.fast.values["q_axis_voltage", "test"]
         voltage += 10.0 * random.standard_normal(len(voltage))

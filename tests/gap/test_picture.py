@@ -29,7 +29,7 @@ def test_what_turns_less_than_once_is_not_folded():
     angle = np.sin(np.linspace(0.0, 60.0, 20000))
     drawn = picture_of(view_of(part(-0.1 * angle, angle), ["angle"], 1.0))
     assert drawn.periods is None
-    assert max(one.high - one.low for one in drawn.bins) < 0.5
+    assert max(item.high - item.low for item in drawn.bins) < 0.5
 
 
 def test_what_goes_on_over_several_turns_is_drawn_over_the_whole_angle():
@@ -37,8 +37,8 @@ def test_what_goes_on_over_several_turns_is_drawn_over_the_whole_angle():
     drawn = picture_of(view_of(part(-0.1 * angle, angle), ["angle"], 1.0))
     assert drawn.periods is None
     assert drawn.bins[0].low == pytest.approx(-20.0, abs=0.1)
-    assert [one.before for one in drawn.bins] == pytest.approx(
-        [-0.05 * (one.low + one.high) for one in drawn.bins], abs=0.05
+    assert [item.before for item in drawn.bins] == pytest.approx(
+        [-0.05 * (item.low + item.high) for item in drawn.bins], abs=0.05
     )
 
 
@@ -52,7 +52,7 @@ def test_an_effect_that_a_calibration_stands_in_for_is_drawn_by_itself():
     assert not drawn.refitted
     assert shows_effect(drawn)
     falling, rising = (
-        [one.before for one in drawn.bins if sign * (one.low + one.high) > 0.0 and math.isfinite(one.before)]
+        [item.before for item in drawn.bins if sign * (item.low + item.high) > 0.0 and math.isfinite(item.before)]
         for sign in (-1, 1)
     )
     assert np.mean(falling) > 50.0 * drawn.after_rms, "the current of a falling reference is too high"

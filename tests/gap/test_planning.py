@@ -44,7 +44,7 @@ def test_a_separating_protocol_tells_apart_what_it_says(name):
     for one in named:
         assert not set(found[one].alike) & set(named)
     # one that shows is told from one that does not, but two that do not show are not told apart
-    assert sum(found[one].smallest is None for one in named) <= 1
+    assert sum(found[cause].smallest is None for cause in named) <= 1
 
 
 def test_a_class_gets_the_protocol_that_separates_most_of_it():

@@ -84,8 +84,8 @@ def test_white_noise_is_blind_to_what_is_slow():
 def test_runs_that_tell_nothing_of_a_parameter_do_not_disagree_about_it(seed):
     """Of two columns alike only the sum is told, and rounding may make less than nothing of the rest."""
     twins = [rows(seed, "r"), rows(seed + 100, "s")]
-    for one in twins:
-        one.columns["calibration", "b"] = one.columns["calibration", "a"].copy()
+    for twin in twins:
+        twin.columns["calibration", "b"] = twin.columns["calibration", "a"].copy()
     normal = Normal(stack(twins, {"a": 0.5, "b": 0.5}), [1e20, 1e20])
     fit = normal.fit()
     assert np.isfinite(disagreement(normal, fit, 0))

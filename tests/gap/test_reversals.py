@@ -16,7 +16,7 @@ def rows_over(angle):
     run = record("free", reference=1.0, seconds=len(angle) * INTERVAL_S)
     run.fast.values["angle", "test"][:] = np.round(angle / COUNT) * COUNT
     run.fast.values["velocity", "test"][:] = np.gradient(angle, INTERVAL_S)
-    built = {one.name: one for one in equations(run, model())}
+    built = {equation.name: equation for equation in equations(run, model())}
     balance, reversal = built["free_torque"], built["reversal_torque"]
     assert (balance.width, balance.step) == (reversal.width, reversal.step)
     index = thinned_rows(len(balance.left_over), balance.width, balance.step)

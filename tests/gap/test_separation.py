@@ -47,7 +47,9 @@ def test_a_rival_that_is_clearly_farther_is_ruled_out():
     lag = member("torque_sensor_lag", "time_skew")
     nearest, ruled_out = nearest_of_classes([lag.finding.candidate], [lag], by_squares({LATE[0]: 2.0, LATE[1]: 3.0}))
     assert names(nearest) == ["torque_sensor_lag"]
-    assert [(one.effect, one.by, one.times) for one in ruled_out] == [("time_skew", "torque_sensor_lag", 1.5)]
+    assert [(ruling.effect, ruling.by, ruling.times) for ruling in ruled_out] == [
+        ("time_skew", "torque_sensor_lag", 1.5)
+    ]
     left = without_ruled_out(lag, ruled_out)
     assert left.peers == ()
     assert [probability for _, probability in left.rivals] == [0.0]
@@ -59,7 +61,7 @@ def test_a_rival_that_is_clearly_nearer_takes_the_place():
     others = [("cogging", ()), lag.finding.candidate]
     nearest, ruled_out = nearest_of_classes(others, [lag], by_squares({"cogging": 0.1, LATE[0]: 3.0, LATE[1]: 2.0}))
     assert names(nearest) == ["cogging", "time_skew"]
-    assert [(one.effect, one.by) for one in ruled_out] == [("torque_sensor_lag", "time_skew")]
+    assert [(ruling.effect, ruling.by) for ruling in ruled_out] == [("torque_sensor_lag", "time_skew")]
 
 
 def test_the_nearest_of_three_is_left():
@@ -67,7 +69,7 @@ def test_the_nearest_of_three_is_left():
     squares = {LATE[0]: 3.0, LATE[1]: 2.0, "transport_delay": 1.0}
     nearest, ruled_out = nearest_of_classes([lag.finding.candidate], [lag], by_squares(squares))
     assert names(nearest) == ["transport_delay"]
-    assert {one.effect for one in ruled_out} == set(LATE)
+    assert {ruling.effect for ruling in ruled_out} == set(LATE)
 
 
 @pytest.mark.parametrize(

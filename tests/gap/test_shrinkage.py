@@ -40,7 +40,7 @@ def staircase(truth, seed=0, seconds=6.0):
 
 
 def table(shrunk):
-    return {(one.quantity, one.role, one.mechanical): one for one in shrunk.shrinkage}
+    return {(gap.quantity, gap.role, gap.mechanical): gap for gap in shrunk.shrinkage}
 
 
 def test_a_share_of_a_gap_that_chance_closes_has_no_interval():
@@ -115,11 +115,11 @@ def test_a_few_seconds_are_too_little_to_tell_whether_a_gap_closes():
 def test_traces_are_thinned_and_named():
     truth = model(("torque_sensor_offset", {"offset": 0.3}))
     shrunk = shrinkage([staircase(truth)], model(), model(), truth)
-    trace = next(one for one in shrunk.traces if one.quantity == "torque")
+    trace = next(trace for trace in shrunk.traces if trace.quantity == "torque")
     assert len(trace.time) == len(trace.measured) == len(trace.augmented) <= 1500
     assert trace.units == "N*m"
     assert np.mean(trace.measured - trace.calibrated) == pytest.approx(0.3, abs=0.01)
-    channel = next(one for one in shrunk.channels if one.quantity == "torque")
+    channel = next(channel for channel in shrunk.channels if channel.quantity == "torque")
     assert channel.noise == pytest.approx(TORQUE_NOISE, rel=0.1)
 
 
@@ -145,7 +145,7 @@ def test_a_locked_torque_tells_how_far_a_bearing_gives(give):
 
 def test_what_a_model_cannot_replay_is_said():
     shrunk = shrinkage([staircase(model())], *(model(rotor_inertia=None) for _ in range(3)))
-    assert not [one for one in shrunk.shrinkage if one.quantity == "torque"]
+    assert not [gap for gap in shrunk.shrinkage if gap.quantity == "torque"]
     assert any("rotor_inertia" in note for note in shrunk.notes)
 
 
@@ -195,7 +195,7 @@ def test_the_true_parameters_of_a_practice_case_leave_the_floor(case):
     # a free rotor integrates what a millisecond's sampling leaves open of the servo's current steps
     assert over["velocity", "test", "free"] < 3.5
     if case != "practice-1":
-        assert max(one.closed or 0.0 for one in result.values()) > (0.8 if case == "practice-3" else 0.9)
+        assert max(value.closed or 0.0 for value in result.values()) > (0.8 if case == "practice-3" else 0.9)
 
 
 def test_what_a_filter_leaves_of_a_motion_that_is_over_is_no_noise():

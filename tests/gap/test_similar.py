@@ -67,7 +67,7 @@ def rescaled_model(model, torque, current, time):
 
 def rescaled(case, *size):
     records = [
-        [replace(one, fast=rescaled_clock(one.fast, *size), slow=rescaled_clock(one.slow, *size)) for one in runs]
+        [replace(run, fast=rescaled_clock(run.fast, *size), slow=rescaled_clock(run.slow, *size)) for run in runs]
         for runs in (case.fitted, case.held_out)
     ]
     return Case(rescaled_model(case.model, *size), *records)
@@ -96,7 +96,7 @@ def thinned_clock(clock):
 
 
 def thinned(case):
-    records = [[replace(one, fast=thinned_clock(one.fast)) for one in runs] for runs in (case.fitted, case.held_out)]
+    records = [[replace(run, fast=thinned_clock(run.fast)) for run in runs] for runs in (case.fitted, case.held_out)]
     return Case(case.model, *records)
 
 

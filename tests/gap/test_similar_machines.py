@@ -66,10 +66,10 @@ def case_of(folder: Path, size=(1.0, 1.0, 1.0), divide=1):
         with Run.open(path) as run:
             results = [channel for spec in run.streams["loop"] for channel in run.channels(spec.quantity, spec.role)]
             scaled = [
-                replace(one, time=one.time * by["s"], values=np.asarray(one.values, float) * by[one.units])
-                for one in results
+                replace(result, time=result.time * by["s"], values=np.asarray(result.values, float) * by[result.units])
+                for result in results
             ]
-            channels = [thinned(one, divide) for one in scaled]
+            channels = [thinned(item, divide) for item in scaled]
             records.append(build_record(path, str(run.attributes["protocol"]), run.mechanical, channels, {}))
     model, _ = read_model(folder / "nominal.yaml")
     return Case(model_of_size(model, *size), *hold_out_runs(records))

@@ -52,7 +52,7 @@ def test_of_many_joints_with_an_effect_most_are_told_so_and_none_another(name, l
         told.append([cause.effect for cause in diagnosis.causes if cause.probability >= 0.5])
     print(name, told.count([name]))
     assert told.count([name]) >= least  # friction that fades within a hundredth of the speed hides in a quarter of them
-    assert [one for one in told if one not in ([], [name])] == []
+    assert [item for item in told if item not in ([], [name])] == []
 
 
 def test_forms_are_told_in_scales_that_there_are():

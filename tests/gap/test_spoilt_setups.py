@@ -81,7 +81,7 @@ def test_one_turned_run_of_six_is_told_and_mended_alone(joint_case):
     turn = on_values(VELOCITY, lambda v: -v)
     given = replace(joint_case, fitted=[turn(joint_case.fitted[0]), *joint_case.fitted[1:]])
     faults, records = find_and_mend_faults([*given.fitted, *given.held_out], given.model)
-    assert [(one.name, one.key[0]) for one in faults] == [("channel_sign", "velocity")]
+    assert [(fault.name, fault.key[0]) for fault in faults] == [("channel_sign", "velocity")]
     assert "in 1 of 6 runs" in faults[0].evidence
     sound = [*joint_case.fitted, *joint_case.held_out]
     assert all(
@@ -105,8 +105,10 @@ def with_values(record: Record, **changed) -> Record:
 def test_a_reference_without_a_response_names_no_scale_and_no_swap(joint_case):
     random = np.random.default_rng(SEED)
     still = [
-        with_values(one, q_axis_current=1e-3 * random.standard_normal(len(one.fast.time)), velocity=0.0 * one.fast.time)
-        for one in [*joint_case.fitted, *joint_case.held_out]
+        with_values(
+            item, q_axis_current=1e-3 * random.standard_normal(len(item.fast.time)), velocity=0.0 * item.fast.time
+        )
+        for item in [*joint_case.fitted, *joint_case.held_out]
     ]
     assert {fault.name for fault in find_and_mend_faults(still, joint_case.model)[0]} <= {"frozen_channel"}
 

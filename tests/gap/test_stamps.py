@@ -42,9 +42,9 @@ def test_a_sound_joint_is_called_so_whatever_its_log_leaves_unsaid(seed, told):
 @pytest.mark.parametrize("told", [True, False])
 def test_of_many_sound_joints_next_to_all_are_called_so(told):
     results = [sound(seed, told) for seed in range(100, 140)]
-    wrong = [one for one in results if one.verdict not in ("none", "calibration") or named(one)]
+    wrong = [result for result in results if result.verdict not in ("none", "calibration") or named(result)]
     print(f"sampling {'told' if told else 'not told'}: {len(results) - len(wrong)} of {len(results)} called sound")
-    assert len(wrong) <= (0.02 if told else 0.05) * len(results), [(one.verdict, named(one)) for one in wrong]
+    assert len(wrong) <= (0.02 if told else 0.05) * len(results), [(item.verdict, named(item)) for item in wrong]
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,9 @@ def test_a_delay_within_what_stamps_may_be_enters_no_set(told, delay, least):
         if (one := fit_further_effect(evidence, normal, base, candidate, any_size=True)) is not None
     ]
     assert results
-    assert [one.floor * ENTRY_HEIGHT * joint.rate for one in results] == pytest.approx([least] * len(results), abs=0.1)
+    assert [result.floor * ENTRY_HEIGHT * joint.rate for result in results] == pytest.approx(
+        [least] * len(results), abs=0.1
+    )
 
 
 @pytest.mark.long

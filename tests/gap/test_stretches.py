@@ -55,14 +55,14 @@ def test_stretches_are_of_start_and_end_and_all_between_and_heat_of_every_sample
     monkeypatch.setattr(long_runs, "MOST_SLOW_ROWS", 1 << 10)
     whole, *several = read_records([pair / "night-1.h5"], BenchModel())[pair / "night-1.h5"]
     assert len(several) == MOST_STRETCHES
-    assert sum(len(one.fast.time) for one in several) == 1 << 14
-    begins = [float(one.fast.since_begin[0]) for one in several]
+    assert sum(len(item.fast.time) for item in several) == 1 << 14
+    begins = [float(item.fast.since_begin[0]) for item in several]
     assert begins[0] == 0.0
     assert several[-1].fast.time[-1] == ROWS / nights.RATE
     assert all(0.0 < apart < 2.1 * ROWS / nights.RATE / MOST_STRETCHES for apart in np.diff(begins))
-    assert len({one.fast.fastest for one in several}) == 1
-    assert {one.run for one in several} == {"night-1"}
-    assert len({one.name for one in several}) == MOST_STRETCHES
+    assert len({item.fast.fastest for item in several}) == 1
+    assert {item.run for item in several} == {"night-1"}
+    assert len({item.name for item in several}) == MOST_STRETCHES
     assert "16 stretches of 1.02 s of a run of 59.999 s are looked at (27 % of its rows)" in whole.notes[0]
     with h5py.File(pair / "night-1.h5") as file:
         current = file["streams/loop/q_axis_current"][:]
@@ -79,13 +79,13 @@ def test_stretches_are_of_start_and_end_and_all_between_and_heat_of_every_sample
 def test_stretches_of_a_run_are_held_out_together(pair, monkeypatch):
     monkeypatch.setattr(long_runs, "MOST_ROWS", 1 << 14)
     records = [
-        one for several in read_records(sorted(pair.glob("night-*.h5")), BenchModel()).values() for one in several
+        item for several in read_records(sorted(pair.glob("night-*.h5")), BenchModel()).values() for item in several
     ]
     fitted, held_out = hold_out_runs(records)
-    assert ({one.run for one in fitted}, {one.run for one in held_out}) == ({"night-1"}, {"night-2"})
+    assert ({fit.run for fit in fitted}, {item.run for item in held_out}) == ({"night-1"}, {"night-2"})
     parts = hold_out_runs(fitted)  # a run alone is parted: each of its stretches is
-    assert [one.name for one in parts[0]] == [one.name for one in parts[1]]
-    assert all(one.fast.all_valid(("angle", "test")).any() for one in parts[1] if one.fast is not None)
+    assert [part.name for part in parts[0]] == [part.name for part in parts[1]]
+    assert all(part.fast.all_valid(("angle", "test")).any() for part in parts[1] if part.fast is not None)
 
 
 def test_a_clock_that_jumps_makes_no_rows_in_its_gap(pair, tmp_path):
@@ -97,8 +97,8 @@ def test_a_clock_that_jumps_makes_no_rows_in_its_gap(pair, tmp_path):
         for column in file["streams/loop"].values():
             del column.attrs["sha256"]
     records = read_records([path], BenchModel())[path]
-    assert sum(len(one.fast.time) for one in records if one.fast is not None) <= ROWS
-    assert all(np.ptp(one.fast.time) < ROWS / nights.RATE for one in records if one.fast is not None)
+    assert sum(len(record.fast.time) for record in records if record.fast is not None) <= ROWS
+    assert all(np.ptp(record.fast.time) < ROWS / nights.RATE for record in records if record.fast is not None)
 
 
 def test_stretches_whose_stamps_jitter_go_by_one_interval_and_say_so_once(pair, tmp_path, monkeypatch):
@@ -112,7 +112,7 @@ def test_stretches_whose_stamps_jitter_go_by_one_interval_and_say_so_once(pair, 
         for column in file["streams/loop"].values():
             del column.attrs["sha256"]
     records = read_records([path], BenchModel())[path]
-    intervals = {one.fast.interval for one in records if one.fast is not None}
+    intervals = {record.fast.interval for record in records if record.fast is not None}
     assert len(intervals) == 1
     interval = intervals.pop()
     assert interval == pytest.approx(1.0 / nights.RATE, rel=0.03)

@@ -29,7 +29,7 @@ def bench(sound_cases, sound_bench):
 def test_the_network_comes_out_within_four_standard_errors(bench):
     runs, true = bench
     result = fit(runs)
-    assert [one.parameter for one in result.parameters] == list(FITTED_PARAMETERS)
+    assert [parameter.parameter for parameter in result.parameters] == list(FITTED_PARAMETERS)
     for one in result.parameters:
         assert abs(one.fitted - true[one.parameter]) < 4.0 * one.std
         assert one.std < 0.03 * one.fitted
@@ -38,7 +38,7 @@ def test_the_network_comes_out_within_four_standard_errors(bench):
 def test_tolerances_cover_the_truth_and_are_narrower_than_the_file_s(bench):
     runs, true = bench
     result = fit(runs)
-    fitted = {one.parameter.removeprefix("thermal."): one.fitted for one in result.parameters}
+    fitted = {parameter.parameter.removeprefix("thermal."): parameter.fitted for parameter in result.parameters}
     assert result.tolerances["temperature_rise"] == 0.02
     for name, tolerance in result.tolerances.items():
         if name == "temperature_rise":

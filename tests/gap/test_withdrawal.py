@@ -188,7 +188,7 @@ def test_of_effects_that_close_a_gap_together_one_that_is_not_needed_takes_the_o
     shown = []
 
     def simulate(calibrated, further):
-        has, had = ({entry.effect for entry in one.effects} for one in (further, calibrated))
+        has, had = ({entry.effect for entry in item.effects} for item in (further, calibrated))
         shown.append((has, had))
         closer = has == {"cogging", "saturation"} and "cogging" not in had  # whatever saturation adds to it
         line = Shrinkage("velocity", "test", "free", "rad/s", 7.0, 5.0, 4.0 if closer else 5.1, 1.0)
@@ -205,7 +205,7 @@ def test_each_effect_has_to_close_a_gap_beside_the_others(model, order):
         added = {entry.effect for entry in augmented.effects} - {entry.effect for entry in calibrated.effects}
         return Shrunk((), (), (), (), growth(-1.0, 0.0, "cogging" in added))
 
-    applied = apply(model, [SOUND], [[one] for one in order], beside(SOUND), simulate)
+    applied = apply(model, [SOUND], [[item] for item in order], beside(SOUND), simulate)
     assert applied.fitted.causes == (RIPPLE,)
     assert [entry.effect for entry in applied.augmented.effects] == ["cogging"]
     assert applied.notes == (
@@ -215,7 +215,7 @@ def test_each_effect_has_to_close_a_gap_beside_the_others(model, order):
 
 def test_an_effect_that_shows_beside_another_alone_is_tried_again(model):
     def simulate(calibrated, augmented):
-        has, had = ({entry.effect for entry in one.effects} for one in (augmented, calibrated))
+        has, had = ({entry.effect for entry in item.effects} for item in (augmented, calibrated))
         return Shrunk((), (), (), (), growth(-1.0, 0.0, "saturation" in has and has != had))
 
     applied = apply(model, [SOUND], [[RIPPLE], [SATURATION]], beside(SOUND), simulate)

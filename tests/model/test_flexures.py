@@ -10,7 +10,7 @@ BEARINGS = bearings_of(load_sheet("lea")[0])
 
 
 def by_name(rest_gap=0.5e-3):
-    return {one.name: one for one in readings(BEARINGS, rest_gap)}
+    return {reading.name: reading for reading in readings(BEARINGS, rest_gap)}
 
 
 def test_a_side_carries_twelve_times_one():

@@ -33,14 +33,14 @@ def test_each_figure_goes_by_its_power_of_the_radius():
             "body": U8.body.model_copy(update={"mass": small["mass"]}),
         }
     )
-    results = {one.name: one.scaled for one in scaled_figures(known, 0.0825, 0.04)}
+    results = {item.name: item.scaled for item in scaled_figures(known, 0.0825, 0.04)}
     for name, value in large.items():
         assert results[name] == pytest.approx(value), name
 
 
 def test_the_lea_comes_out_near_its_own_figures_when_frames_agree():
     """Mid radii of the printed diameters: the U8's torque between the leads scales to 93 % of what the LEA has."""
-    results = {one.name: one for one in scaled_figures(U8, 0.0825, (0.085 + 0.054) / 4.0)}
+    results = {item.name: item for item in scaled_figures(U8, 0.0825, (0.085 + 0.054) / 4.0)}
     ours = math.sqrt(1.5) * LEA.torque_constant
     assert results["torque_per_line_ampere"].scaled / ours == pytest.approx(0.93, abs=0.01)
     assert results["motor_constant"].scaled / 0.95 == pytest.approx(1.02, abs=0.01)
@@ -49,7 +49,8 @@ def test_the_lea_comes_out_near_its_own_figures_when_frames_agree():
 
 def test_what_is_not_known_is_not_scaled():
     results = {
-        one.name: one.scaled for one in scaled_figures(LEA.model_copy(update={"continuous_current": None}), 0.1, 0.08)
+        item.name: item.scaled
+        for item in scaled_figures(LEA.model_copy(update={"continuous_current": None}), 0.1, 0.08)
     }
     assert results["continuous_torque"] is None
     assert results["torque_density"] is None

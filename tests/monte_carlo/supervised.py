@@ -185,7 +185,7 @@ def _loop(plan: Plan, bench: DirectBench, supervisor: Supervisor | Unsupervised)
 
 def _course(bench: DirectBench, status: str, reason: str, scaled: bool, kept: Mapping[str, Array]) -> Course:
     rotors = bench.rotors
-    currents = tuple(np.array(one) for one in rotors.currents)
+    currents = tuple(np.array(item) for item in rotors.currents)
     velocity = np.array(rotors.velocities)
     return Course(
         status,

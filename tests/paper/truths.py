@@ -66,7 +66,7 @@ def position_steps(motor: ActuatorParameters, loops: Mapping[str, float], result
         made = turned[time > STEADY_S].mean() - start  # friction may let go of it within the steady part
         by_level.setdefault(jump, []).append(figures(time, (turned - start) / made))
     names = ("rise_time", "overshoot", "settling_time")
-    levels = [[np.mean([getattr(one, name) for one in found]) for name in names] for found in by_level.values()]
+    levels = [[np.mean([getattr(item, name) for item in found]) for name in names] for found in by_level.values()]
     return dict(zip(names, np.mean(levels, axis=0).tolist(), strict=True))
 
 

@@ -57,9 +57,9 @@ def test_behind_every_trial_the_current_is_zero():
 
 def test_a_span_of_a_power_of_two_resolutions_takes_no_trial_more_by_rounding():
     ends = "from_current_A: 0, to_current_A: 1.6, resolution_A: 0.1"
-    assert len([one for one in segments(plan(bisect(ends))) if one.trial]) == 2 + 4
+    assert len([segment for segment in segments(plan(bisect(ends))) if segment.trial]) == 2 + 4
     third = "from_current_A: 0, to_current_A: 0.3, resolution_A: 0.1"
-    assert len([one for one in segments(plan(bisect(third))) if one.trial]) == 2 + 2
+    assert len([segment for segment in segments(plan(bisect(third))) if segment.trial]) == 2 + 2
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ addEventListener("load", () => {
 
 def look(tmp_path, page, widths, schemes):
     """Faults, or `fits`; the tags as the browser read them; and what it wrote to its console."""
-    frames = "".join(FRAME % (width, one, one, escape(page, quote=True)) for width in widths for one in schemes)
+    frames = "".join(FRAME % (width, item, item, escape(page, quote=True)) for width in widths for item in schemes)
     text, console = dumped(tmp_path, PROBE % frames, max(widths) + 100)
     said, _, tags = text.partition("|")
     return said, tags.split(), console

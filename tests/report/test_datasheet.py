@@ -68,7 +68,7 @@ def words(element):
 
 
 def table(root, cls="datasheet"):
-    result = next(one for one in root.iter("table") if one.get("class") == cls)
+    result = next(item for item in root.iter("table") if item.get("class") == cls)
     return [[words(cell) for cell in row] for row in result.iter("tr")]
 
 
@@ -187,7 +187,7 @@ def test_motors_have_a_section_each_and_the_sheet_says_so(tmp_path):
     assert [section.title for section in sheet.sections] == ["motor not named", "lea", "u8"]
     assert "runs are of 3 motors: motor not named, lea, u8" in sheet.notes[0]
     values = [section.rows["torque-constant"][0].cells[0].estimate for section in sheet.sections]
-    assert [one and round(one.value, 2) for one in values] == [None, 0.49, 0.14]
+    assert [value and round(value.value, 2) for value in values] == [None, 0.49, 0.14]
 
 
 def test_an_experiment_is_taken_by_what_its_result_says(tmp_path, monkeypatch):
@@ -202,8 +202,8 @@ def test_an_experiment_is_taken_by_what_its_result_says(tmp_path, monkeypatch):
     root = tree(of(path, options={"gain": 2.0}), tmp_path / "out.html")
     row = next(row for row in table(root) if row[0] == "shake rate")
     assert row == ["shake rate", "design", "a1", "6.00 ± 0.10", "2.80 .. 3.20", "Hz", "", "R1"]
-    section = next(one for one in root.iter("section") if one.get("id") == "m0-shakes")
-    assert [words(one) for one in section.iter("h3")] == ["Shakes"]
+    section = next(item for item in root.iter("section") if item.get("id") == "m0-shakes")
+    assert [words(item) for item in section.iter("h3")] == ["Shakes"]
     assert words(section.find("p")) == "Shakes: how often the thing shakes."
     assert words(section.find(".//figcaption")) == "shake over time, a1, design; R1"
     with pytest.raises(InputError, match="--set gaim: no analysis takes it"):
@@ -225,18 +225,18 @@ def test_two_sets_stand_side_by_side_with_their_difference(tmp_path):
     assert float(row[4].split()[0]) == pytest.approx(0.03, abs=0.003)
     assert row[-1] == "A1 , B1"
     result = next(
-        one for one in sheet.sections[0].rows["friction"] if one.name == "coulomb_friction" and one.difference
+        item for item in sheet.sections[0].rows["friction"] if item.name == "coulomb_friction" and item.difference
     )
     first, second = (cell.estimate for cell in result.cells)
     assert result.difference.std == pytest.approx(np.hypot(first.std, second.std))
-    captions = [words(one) for one in root.iter("figcaption")]
+    captions = [words(item) for item in root.iter("figcaption")]
     assert captions[:2] == [
         "spring: torque of the current over speed, a1, design; A1",
         "autumn: torque of the current over speed, a1, design; B1",
     ]
-    charts = [one for one in root.iter("div") if one.get("class") == "chart"][:2]
-    assert len({words(one.find("div[@class='x']")) for one in charts}) == 1
-    assert len({words(one.find("div[@class='y']")) for one in charts}) == 1
+    charts = [item for item in root.iter("div") if item.get("class") == "chart"][:2]
+    assert len({words(chart.find("div[@class='x']")) for chart in charts}) == 1
+    assert len({words(chart.find("div[@class='y']")) for chart in charts}) == 1
     with pytest.raises(InputError, match=r"the same run as .* of the other set"):
         refuse_shared((sets[0], sets[0]))
     json.dumps(sheet.as_json(), allow_nan=False)
@@ -278,9 +278,9 @@ def known(value):
 def beside(*told):
     """The row of a set with these estimates, beside a set of one actuator with a bound."""
     sheet = Datasheet((one_set("A", *told), one_set("B", bound(0.0, 0.2))))
-    [row] = [one for one in sheet.sections[0].rows["no-load-loss"] if one.name == "hysteresis_torque"]
-    said = next(one for one in sheet.as_json()["sections"][0]["rows"] if one["name"] == "hysteresis_torque")
-    cells = next(one for one in table(tree(sheet, Path("out.html"))) if one[0] == "hysteresis torque")
+    [row] = [item for item in sheet.sections[0].rows["no-load-loss"] if item.name == "hysteresis_torque"]
+    said = next(row for row in sheet.as_json()["sections"][0]["rows"] if row["name"] == "hysteresis_torque")
+    cells = next(item for item in table(tree(sheet, Path("out.html"))) if item[0] == "hysteresis torque")
     return row, said["values"][0], cells
 
 
@@ -311,17 +311,17 @@ def test_a_mean_over_some_actuators_says_of_which():
 
 def test_points_lie_where_the_axes_say_and_captions_name_their_runs(campaign, sheet):
     root = tree(sheet, campaign / "out.html")
-    section = next(one for one in root.iter("section") if one.get("id") == "m0-friction")
+    section = next(item for item in root.iter("section") if item.get("id") == "m0-friction")
     figure = section.find(".//figure")
-    assert [one.text for one in figure.findall("figcaption/a")] == ["R1", "R2", "R3"]
-    answers = [one for one in sheet.sets[0].results if one.experiment == "friction"]
-    drawn = [one for one in figure.iter("path") if one.get("class").startswith("marks dot s")]
-    assert [one.get("class") for one in drawn] == [f"marks dot s{k}" for k in range(3)]
-    shown = np.concatenate([places(one.get("d")) for one in drawn])
-    points = np.concatenate([np.transpose([one.x, one.y]) for a in answers for one in a.result.plots[0].points[:1]])
+    assert [match.text for match in figure.findall("figcaption/a")] == ["R1", "R2", "R3"]
+    answers = [result for result in sheet.sets[0].results if result.experiment == "friction"]
+    drawn = [item for item in figure.iter("path") if item.get("class").startswith("marks dot s")]
+    assert [case.get("class") for case in drawn] == [f"marks dot s{k}" for k in range(3)]
+    shown = np.concatenate([places(case.get("d")) for case in drawn])
+    points = np.concatenate([np.transpose([item.x, item.y]) for a in answers for item in a.result.plots[0].points[:1]])
     for k, sign in ((0, 1.0), (1, -1.0)):
         assert np.corrcoef(shown[:, k], points[:, k])[0, 1] == pytest.approx(sign, abs=1e-4)
-    strips = [one for one in section.iter("svg") if one.get("class") == "strip"]
+    strips = [item for item in section.iter("svg") if item.get("class") == "strip"]
     assert len(strips) == 6
     assert strips[0].get("aria-label").startswith("unloaded, a1: 0.0")
 
@@ -337,10 +337,10 @@ def test_every_link_leads_somewhere_and_nothing_is_fetched(campaign, sheet):
     ids = [element.get("id") for element in root.iter() if element.get("id")]
     assert len(ids) == len(set(ids))
     targets = [element.get("href") for element in root.iter("a")]
-    inside, outside = ([one for one in targets if one.startswith("#") == kind] for kind in (True, False))
-    assert {one[1:] for one in inside} <= set(ids)
-    files = [f"{campaign.name}/{one.name}" for one in campaign.glob("*.h5")]
-    assert sorted(unquote(one) for one in outside) == sorted(files)
+    inside, outside = ([item for item in targets if item.startswith("#") == kind] for kind in (True, False))
+    assert {item[1:] for item in inside} <= set(ids)
+    files = [f"{campaign.name}/{item.name}" for item in campaign.glob("*.h5")]
+    assert sorted(unquote(item) for item in outside) == sorted(files)
     assert not {"script", "link", "img", "iframe", "object", "embed"} & {element.tag for element in root.iter()}
     assert not re.search(r"://|url\(|@import|javascript:", text)
 
@@ -433,10 +433,10 @@ def test_contours_are_told_on_the_longest_of_their_name_and_fitted_lines_have_no
     result = Result("friction", ("x.h5",), (), (), (Plot("x [1]", "y [1]", (shown,), tuple(lines)),))
     own = RunSet("s", (entry,), (GroupResult("lea", "friction", "", "", result, (entry,)),), {})
     root = tree(Datasheet((own,)), tmp_path / "out.html")
-    on_line = [one for one in root.iter("span") if one.get("class") == "on-line"]
-    assert [one.text for one in on_line] == ["20%", "40%", "60%"]
-    assert [words(one) for one in root.iter("div") if one.get("class") == "legend"] == ["all"]
-    drawn = [one.get("d") for one in root.iter("path") if one.get("class") == "curve line thin other"]
+    on_line = [item for item in root.iter("span") if item.get("class") == "on-line"]
+    assert [item.text for item in on_line] == ["20%", "40%", "60%"]
+    assert [words(item) for item in root.iter("div") if item.get("class") == "legend"] == ["all"]
+    drawn = [item.get("d") for item in root.iter("path") if item.get("class") == "curve line thin other"]
     assert [path.count("M") for path in drawn] == [1, 1, 1, 1]
 
 
@@ -451,11 +451,11 @@ def drawn(plot, folder):
 def test_a_frequency_is_drawn_by_decades(tmp_path):
     gain = Series("5 A", (1.0, 10.0, 100.0, 1000.0), (0.0, 0.0, -3.0, -20.0))
     root = drawn(Plot("frequency [Hz]", "gain [dB]", (gain,), (), x_log=True), tmp_path)
-    marks = next(one.get("d") for one in root.iter("path") if one.get("class") == "marks dot s0")
+    marks = next(item.get("d") for item in root.iter("path") if item.get("class") == "marks dot s0")
     across = [float(mark.split()[0]) for mark in marks.split("M")[1:]]
     assert np.ptp(np.diff(across)) <= 0.2  # tenths are what a drawing is rounded to
-    ticks = next(one for one in root.iter("div") if one.get("class") == "x")
-    assert [one.text for one in ticks] == ["1", "10", "100", "1000"]
+    ticks = next(item for item in root.iter("div") if item.get("class") == "x")
+    assert [item.text for item in ticks] == ["1", "10", "100", "1000"]
 
 
 def test_a_map_is_filled_by_bands_with_a_key_each(tmp_path):
@@ -464,8 +464,11 @@ def test_a_map_is_filled_by_bands_with_a_key_each(tmp_path):
     points = Series("0 to 50 %", (0.5,), (0.5,))
     line = Series("50%", (0.0, 0.5, 1.0), (0.0, 0.5, 1.0))
     root = drawn(Plot("speed [rad/s]", "torque [N*m]", (points,), (line,), bands=bands), tmp_path)
-    assert [one.get("class") for one in root.iter("path") if "band" in one.get("class", "")] == ["band b0", "band b2"]
-    legend = next(one for one in root.iter("div") if one.get("class") == "legend")
+    assert [item.get("class") for item in root.iter("path") if "band" in item.get("class", "")] == [
+        "band b0",
+        "band b2",
+    ]
+    legend = next(item for item in root.iter("div") if item.get("class") == "legend")
     assert [words(key) for key in legend] == ["below 0%", "50% and more", "measured"]
 
 
@@ -492,25 +495,27 @@ def test_a_condition_has_one_colour_however_the_order_of_its_runs_was_drawn(tmp_
             bench.friction(f=COULOMB[condition], condition=condition, scatter=0.001, torque_constant=LEA)
     sets = tuple(read_runs([tmp_path / name], label, {}, quiet) for name, label in (("spring", "A"), ("autumn", "B")))
     root = tree(Datasheet(sets), tmp_path / "out.html")
-    legends = [one for one in root.iter("div") if one.get("class") == "legend"][:2]
-    keys = [[(key.find("i").get("class"), words(key)) for key in one][:3] for one in legends]
+    legends = [item for item in root.iter("div") if item.get("class") == "legend"][:2]
+    keys = [[(key.find("i").get("class"), words(key)) for key in item][:3] for item in legends]
     assert keys[0] == keys[1] == [(f"swatch line s{k}", name) for k, name in enumerate(COULOMB)]
 
 
 def test_a_sentence_comes_with_what_it_holds_for_in_words(campaign, sheet):
-    section = next(one for one in tree(sheet, campaign / "out.html").iter("section") if one.get("id") == "m0-friction")
-    said = [words(one) for one in section.findall("p")]
-    assert any(one.startswith("Coulomb friction differs between conditions (F(2, 6) = ") for one in said)
-    remarks = [words(one) for one in section.findall("ul/li")]
+    section = next(
+        item for item in tree(sheet, campaign / "out.html").iter("section") if item.get("id") == "m0-friction"
+    )
+    said = [words(match) for match in section.findall("p")]
+    assert any(item.startswith("Coulomb friction differs between conditions (F(2, 6) = ") for item in said)
+    remarks = [words(match) for match in section.findall("ul/li")]
     assert remarks.count("one actuator ('a1'): no random factor; what is found holds for it and for no other") == 1
-    assert any(one.startswith("each condition was set once an actuator") for one in remarks)
+    assert any(item.startswith("each condition was set once an actuator") for item in remarks)
     assert "_" not in " ".join(said)
 
 
 def test_every_figure_of_the_paper_has_the_unit_that_a_measured_one_has(sheet):
     of_paper = {name for each in experiments() for figures in figures_by_condition(each).values() for name in figures}
     assert of_paper == units_in_paper().keys()
-    for one in (one for own in sheet.sections[0].rows.values() for one in own if one.name in of_paper):
+    for one in (item for own in sheet.sections[0].rows.values() for item in own if item.name in of_paper):
         for item in (cell.estimate for cell in one.cells if cell.estimate is not None):
             assert item.units == units_in_paper()[one.name]
 
@@ -527,17 +532,17 @@ def test_a_map_has_a_folded_table_with_the_longer_axis_downwards(tmp_path):
     result = Result("efficiency", ("x.h5",), (), (), (square,), (), (grid,))
     own = RunSet("s", (entry,), (GroupResult("lea", "efficiency", "LEA-1", "design", result, (entry,)),), {})
     root = tree(Datasheet((own,)), tmp_path / "out.html")
-    folded = next(one for one in root.iter("details") if words(one.find("summary")).startswith("Values at"))
+    folded = next(item for item in root.iter("details") if words(item.find("summary")).startswith("Values at"))
     assert words(folded.find("summary")) == "Values at every setpoint: driving map, LEA-1, design"
     assert folded.get("open") is None
-    assert [one.get("href") for one in folded.findall("p/a")] == ["#R1"]
+    assert [match.get("href") for match in folded.findall("p/a")] == ["#R1"]
     assert table(root, "map") == [
         ["current [A] \\ velocity [rad/s]", "5", "10"],
         ["3", "0.512", "0.600"],
         ["6", "0.400", "-"],
         ["9.5", "0.00", "-1.50"],
     ]
-    marks = next(one.get("d") for one in root.iter("path") if one.get("class") == "marks square s2")
+    marks = next(item.get("d") for item in root.iter("path") if item.get("class") == "marks square s2")
     assert "h0M" not in marks  # a PDF paints no stroke without a length and with square ends
     assert not marks.endswith("h0")
 

@@ -29,7 +29,7 @@ OF_THE_CAMERA = 0.01  # the emulated one reads half a percent of the rise too mu
 
 def off(parameters):
     """How far each is from the truth, beside its three standard errors and the camera's own error."""
-    results = {one["parameter"]: one for one in parameters}
+    results = {parameter["parameter"]: parameter for parameter in parameters}
     assert results.keys() == TRUE.keys()
     return {
         name: abs(one["fitted"] / TRUE[name] - 1.0) - 3.0 * one["std"] / TRUE[name] - OF_THE_CAMERA
@@ -92,7 +92,7 @@ def test_of_a_folder_those_that_tell_are_fitted_and_the_others_named(runs, tmp_p
 
 def parameters_of(path):
     [fitted], _ = thermal_fits([path], LEA)
-    return {one.parameter: one for one in fitted.fit.parameters}
+    return {parameter.parameter: parameter for parameter in fitted.fit.parameters}
 
 
 def test_regions_count_by_their_phases_however_many_places_they_have(tmp_path):
@@ -116,7 +116,7 @@ def test_each_actuator_has_its_own_network(tmp_path):
         unseal(file)
         file.attrs["actuator"] = "a2"
     found, _ = thermal_fits([first, second], LEA)
-    assert [(one.actuator, one.runs) for one in found] == [("a1", (str(first),)), ("a2", (str(second),))]
+    assert [(item.actuator, item.runs) for item in found] == [("a1", (str(first),)), ("a2", (str(second),))]
 
 
 def test_the_gate_of_the_analyses_stands_before_the_fit(tmp_path):

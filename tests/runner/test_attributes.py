@@ -9,7 +9,7 @@ MOST = 29  # that an object holds without one (CPython, SHARED_KEYS_MAX_SIZE les
 def test_objects_of_the_cycle_keep_few_attributes(tmp_path):
     request = request_in(tmp_path, 1.0)
     loop, bench, writer, _progress = prepared(request, rehearsal(machine_of(request)), 0)
-    kept = {type(one).__name__: len(vars(one)) for one in (loop, loop._supervisor, *bench.drives.values())}
+    kept = {type(item).__name__: len(vars(item)) for item in (loop, loop._supervisor, *bench.drives.values())}
     bench.close()
     writer.close("complete")
     assert {name: count for name, count in kept.items() if count > MOST} == {}

@@ -106,7 +106,7 @@ def test_the_command_line_gives_the_fit_within_its_intervals(tmp_path, monkeypat
     path = json.loads(done.stdout)["run"]
     completed = leactl("analyze", path, "--json")
     assert completed.returncode == 0, completed.stderr
-    results = {one["name"]: one for one in json.loads(completed.stdout)["results"]}
+    results = {result["name"]: result for result in json.loads(completed.stdout)["results"]}
     for name in ("winding_ambient_resistance", "housing_ambient_resistance", "parallel_thermal_resistance"):
         assert results[name]["value"] is None, f"{name} after two minutes"
     for name, true in TRUE.items():
@@ -121,7 +121,7 @@ def test_the_whole_protocol_gives_every_figure(tmp_path, monkeypatch):
     monkeypatch.setenv("LEACTL_STATE", str(tmp_path / "state"))
     done = leactl("run", "thermal", "--bench", "emulated-heated", "--json")
     assert (done.returncode, done.stderr) == (0, "")
-    results = {one.name: one for one in analyze_runs([tmp_path / json.loads(done.stdout)["run"]]).results}
+    results = {result.name: result for result in analyze_runs([tmp_path / json.loads(done.stdout)["run"]]).results}
     for name, true in TRUE.items():
         assert results[name].low < true < results[name].high, name
     assert results["parallel_thermal_resistance"].value == pytest.approx(TRUE["parallel_thermal_resistance"], rel=0.02)

@@ -85,7 +85,7 @@ def warm_resistances(run):
         housing += dt * (across - housing / net.housing_ambient_resistance) / net.housing_capacitance
     holds = [step for step in run.steps if step.name == "hold"]
     inside = [(channel.time >= step.start + step.settle) & (channel.time < step.stop) for step in holds]
-    return np.array([result[one].mean() for one in inside]).reshape(len(SPEEDS), len(CURRENTS))
+    return np.array([result[item].mean() for item in inside]).reshape(len(SPEEDS), len(CURRENTS))
 
 
 def test_drives_that_tell_their_voltage_show_the_losses_of_warm_windings(spin, tmp_path):

@@ -274,7 +274,7 @@ def keeping(nodes, clock):
 def test_two_actuators_are_kept_side_by_side():
     nodes = {"test": WARM, "load": WARM - 20.0}
     with keeping(nodes, [NOW]) as (_keeper, memories):
-        assert all(json.loads(one.path.read_text())["running"] for one in memories.values())
+        assert all(json.loads(value.path.read_text())["running"] for value in memories.values())
         nodes["test"] = WARM + 5.0
     assert memories["test"].recall(NOW).nodes == pytest.approx(WARM + 5.0, abs=0.1)
     assert memories["load"].recall(NOW).nodes == pytest.approx(WARM - 20.0, abs=0.1)

@@ -176,7 +176,7 @@ def test_the_state_has_what_the_loop_has_published(client, progress):
     assert state["windings"] == [
         {"role": "test", "estimate_degC": 40.0, "bound_degC": 60.0, "limit_degC": 130.0, "to_limit_s": 12.0}
     ]
-    assert [(one["name"], one["unit"], one["chart"]) for one in state["channels"]] == [
+    assert [(channel["name"], channel["unit"], channel["chart"]) for channel in state["channels"]] == [
         ("iq_ref", "A", "q axis current, test"),
         ("iq", "A", "q axis current, test"),
         (f"enabled{SCRIPT}", "", "drive enabled, test"),

@@ -77,9 +77,9 @@ def drawn(guard_of, rate, reading, count):
 @pytest.mark.parametrize(("rate", "reading"), [(20.0, "true"), (100.0, "stuck"), (500.0, "noisy"), (100.0, "drifting")])
 def test_the_guard_as_it_is_holds(rate, reading):
     results = list(drawn(ThermalGuard, rate, reading, 8))
-    assert max(one.over_k for one in results) <= 0.0
-    assert max(one.peak for one in results) <= SETTINGS.limit
-    assert max(one.peak for one in results) > 100.0
+    assert max(result.over_k for result in results) <= 0.0
+    assert max(result.peak for result in results) <= SETTINGS.limit
+    assert max(result.peak for result in results) > 100.0
 
 
 class Wrong(ThermalGuard):
@@ -154,7 +154,7 @@ class StopsLate(ThermalGuard):
 )
 def test_a_guard_that_is_wrong_is_found(guard_of, rate, reading):
     attempts = drawn(guard_of, rate, reading, 60)
-    assert any(one.over_k > 0.1 or one.peak > SETTINGS.limit for one in attempts)
+    assert any(item.over_k > 0.1 or item.peak > SETTINGS.limit for item in attempts)
 
 
 @pytest.mark.parametrize("optimiser", OPTIMISERS)

@@ -30,12 +30,12 @@ def exact(box, ends, limit, duration, share):
 def test_what_is_guaranteed_is_carried_by_the_weakest_actuator():
     motor = load_motor("lea")[0]
     box, limit = Box.of(motor), motor.limits.winding_temperature
-    for one in peaks(motor, AMBIENT, PEAKS_S):
+    for item in peaks(motor, AMBIENT, PEAKS_S):
         corners = itertools.product(("low", "high"), repeat=len(NETWORK))
-        weakest = min(exact(box, ends, limit, one.duration_s, STANDING_HEAT_SHARE) for ends in corners)
-        assert 0.99 * weakest < one.current.guaranteed <= weakest
-        assert one.torque.guaranteed == pytest.approx(motor.torque_constant * one.current.guaranteed)
-        assert one.torque.favourable == pytest.approx(motor.torque_constant * one.current.favourable)
+        weakest = min(exact(box, ends, limit, item.duration_s, STANDING_HEAT_SHARE) for ends in corners)
+        assert 0.99 * weakest < item.current.guaranteed <= weakest
+        assert item.torque.guaranteed == pytest.approx(motor.torque_constant * item.current.guaranteed)
+        assert item.torque.favourable == pytest.approx(motor.torque_constant * item.current.favourable)
 
 
 @pytest.mark.parametrize("name", ["lea", "u8-kv100"])
@@ -53,8 +53,8 @@ def test_nominal_peaks_are_those_of_the_exact_solution_or_a_little_less(name):
 def test_where_the_ambient_may_be_at_the_limit_already_nothing_is_guaranteed():
     motor = load_motor("lea")[0]
     limits = motor.limits.model_copy(update={"winding_temperature": AMBIENT + motor.tolerances.ambient_K - 0.5})
-    for one in peaks(motor.model_copy(update={"limits": limits}), AMBIENT, (1.0, 60.0)):
-        assert one.current.guaranteed == 0.0 < one.current.nominal
+    for item in peaks(motor.model_copy(update={"limits": limits}), AMBIENT, (1.0, 60.0)):
+        assert item.current.guaranteed == 0.0 < item.current.nominal
 
 
 def test_a_limit_that_no_current_reaches_in_time_leaves_the_hardest_current_that_is_tried():

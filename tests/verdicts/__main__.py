@@ -23,13 +23,13 @@ def main() -> int:
     printed, false = Counter[str](), Counter[str]()
     for seed in seeds:
         with_effect, without = draw(seed, True), draw(seed, False)
-        printed.update(one.name for one in with_effect if one.as_printed)
-        printed["all of them"] += all(one.as_printed for one in with_effect)
-        false.update(one.name for one in without if one.any_shown)
+        printed.update(item.name for item in with_effect if item.as_printed)
+        printed["all of them"] += all(item.as_printed for item in with_effect)
+        false.update(item.name for item in without if item.any_shown)
     print(f"{asked.through}, {asked.seeds} seeds from {asked.first}")
     print(f"{'':20}{'as printed':>12}{'false':>8}")
     status = 0
-    for name in (*(one.name for one in PARAMETERS), "all of them"):
+    for name in (*(parameter.name for parameter in PARAMETERS), "all of them"):
         rate, wrong = printed[name] / asked.seeds, false[name] / asked.seeds
         print(f"{name:20}{rate:12.1%}" + (f"{wrong:8.1%}" if name != "all of them" else ""))
         if rate < LEAST_AS_PRINTED or wrong > MOST_FALSE:

@@ -11,7 +11,7 @@ from .trial import by_runs, by_values, drawn
 @pytest.mark.parametrize(("actuators", "least"), [(1, 0.75), (2, 0.70)])
 def test_the_papers_verdicts_come_out(actuators, least):
     """Of damping and Coulomb friction; with two actuators a twentieth shows an interaction that is not there."""
-    printed = [all(one.as_printed for one in by_values(seed, True, actuators)[:2]) for seed in range(120)]
+    printed = [all(item.as_printed for item in by_values(seed, True, actuators)[:2]) for seed in range(120)]
     assert np.mean(printed) >= least
 
 
@@ -25,6 +25,6 @@ def test_few_false_verdicts_without_an_effect(actuators):
 
 def test_run_files_say_what_the_drawn_values_say():
     for seed in (1,):
-        through_runs = {one.name: one.any_shown for one in by_runs(seed, True)}
+        through_runs = {item.name: item.any_shown for item in by_runs(seed, True)}
         assert through_runs["viscous_damping"]
         assert through_runs["coulomb_friction"]

@@ -60,8 +60,10 @@ def by_runs(seed: int, effect: bool) -> list[Verdict]:
             friction.append(bench.friction(b=b, f=f, trials=len(b), levels=levels, condition=condition, noise=noise))
             torque.append(bench.torque(kt=kt, trials=len(kt), condition=condition, noise=noise))
         for paths in (friction, torque):
-            compared = {one.name: one for one in compare_all(paths)[1]}
-            results += [_verdict(one, compared[one.name]) for one in PARAMETERS if one.name in compared]
+            compared = {comparison.name: comparison for comparison in compare_all(paths)[1]}
+            results += [
+                _verdict(parameter, compared[parameter.name]) for parameter in PARAMETERS if parameter.name in compared
+            ]
     return results
 
 

@@ -106,8 +106,8 @@ def test_unequal_scatter_does_not_pass_for_an_effect():
     """Few values scatter widely: F takes the scatter of the many and shows an effect in a third of such experiments."""
     rng = np.random.default_rng(10)
     data = [one_way(rng.normal(0, 5, 4), rng.normal(0, 1, 12), rng.normal(0, 1, 12)) for _ in range(300)]
-    assert np.mean([anova(one).test.shown for one in data]) > 0.15
-    assert np.mean([anova(one).shown for one in data]) < 0.08
+    assert np.mean([anova(item).test.shown for item in data]) > 0.15
+    assert np.mean([anova(item).shown for item in data]) < 0.08
     lone = next(found for found in map(compare, data) if found.anova.test.shown and not found.anova.shown)
     assert lone.sentence.startswith("No effect of the condition on x is shown")
     assert "by Welch's test" in lone.sentence
@@ -126,8 +126,8 @@ def test_actuators_that_answer_differently_do_not_pass_for_an_effect_at_large(un
     rng = np.random.default_rng(8)
     repeats = {(c, a): (6, 2, 3)[(i + k) % 3] for i, c in enumerate(LABELS) for k, a in enumerate(("a0", "a1", "a2"))}
     results = [anova(drawn(rng, repeats if uneven else 4, interaction=1.5)) for _ in range(400)]
-    assert np.mean([one.at_large.p < 0.05 for one in results]) < 0.09
-    assert np.mean([one.interaction.shown for one in results]) > 0.8
+    assert np.mean([result.at_large.p < 0.05 for result in results]) < 0.09
+    assert np.mean([result.interaction.shown for result in results]) > 0.8
 
 
 def test_pairs_at_large_have_the_scatter_of_the_interaction():

@@ -26,7 +26,7 @@ def test_every_run_is_made_once_in_its_order_and_tells_what_it_is_part_of(bench)
     assert ended.error is None
     assert bench.begun == EVERY
     lasts = load(str(bench.folder.parent / "spin.yaml")).duration_s
-    assert [(one.bench_s, one.wall_s > 0.0) for one in ended.journal.finished.values()] == [(lasts, True)] * 4
+    assert [(value.bench_s, value.wall_s > 0.0) for value in ended.journal.finished.values()] == [(lasts, True)] * 4
     for path, key in zip(sorted(bench.files, key=lambda one: one.stat().st_mtime_ns), EVERY, strict=True):
         assert verify(path) == []
         with Run.open(path) as run:
@@ -87,7 +87,7 @@ def test_finished_runs_whose_files_are_gone_are_named_and_made_again_when_asked(
     assert bench.conduct(redo_lost=True).error is None
     assert bench.begun[4:] == EVERY
     assert [status(path) for path in bench.files] == ["complete"] * 4
-    assert all(verify(one) == [] for one in bench.files)
+    assert all(verify(file) == [] for file in bench.files)
 
 
 def test_a_damaged_journal_is_refused_and_the_runs_are_found_without_it(bench):
