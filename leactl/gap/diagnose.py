@@ -308,7 +308,9 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     shrunk = applied.shrunk
     causes = confirmed_causes(causes, applied)
     if servo_runs:
-        strongest_sign = unexplained_in_channels(servo_answer.angle_error_ratios(shrunk.shrinkage, replayed), {})
+        strongest_sign = servo_answer.implausible_calibration(applied.fitted.calibration)
+        if not strongest_sign.probability:  # else it also tells why angles are off
+            strongest_sign = unexplained_in_channels(servo_answer.angle_error_ratios(shrunk.shrinkage, replayed), {})
     gap_regions = where(replayed, shrunk.channels, applied.fitted.causes)
     notes = condition_notes(case.fitted, case.held_out) + reading_notes([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:

@@ -58,6 +58,7 @@ Array = npt.NDArray[np.float64]
 SOUND_MACHINES = 3  # number of simulated machines without an effect
 LEAST_COMMON_STDS = 2.0  # standard errors of the mean over all machines above which they show a common size
 TORQUE_CONSTANT = "torque_constant"
+VOLTAGE = ("q_axis_voltage", "test")
 MOST_STAMP_ERROR = 1.0  # samples, largest error of a stamp whose meaning the file does not give
 SLOW_WIDTH = 8.0  # samples, smoothing of temperatures that drive a simulation
 
@@ -340,14 +341,49 @@ def sound_runs(records: Sequence[Record], machines: Sequence[Model], random: np.
     replay_all([job for jobs in jobs_of_machines for job in jobs])
     for jobs in jobs_of_machines:
         delay_unknown_stamps(jobs, random)
+    noise_shares = voltage_noise_shares(jobs_of_machines[0], records, machines[0], random)
     return [
         [
             simulated
             for job, record in zip(jobs, records, strict=True)
-            if (simulated := simulated_record(job, record, random))
+            if (simulated := simulated_record(job, record, random, noise_shares.get(record.run, 1.0)))
         ]
         for jobs in jobs_of_machines
     ]
+
+
+def voltage_noise_shares(
+    jobs: Sequence[Job], records: Sequence[Record], machine: Model, random: np.random.Generator
+) -> dict[str, float]:
+    """Return the share of a voltage's apparent noise that is noise, by run; empty where no run is driven by voltage.
+
+    Such a voltage may be a reading or the command itself, and its spectrum does not tell noise from quick commands.
+    Noise that the rotor does not feel would stand in the torque balance from row to row. What stands there in the
+    measured run, in the simulated run with an exact voltage, and in that with all of the noise, gives the share.
+
+    jobs : the simulated runs of one machine.
+    """
+    driven = [(job, record) for job, record in zip(jobs, records, strict=True) if is_driven_by_voltage(record)]
+    if not driven:
+        return {}
+    measured = Evidence([record for _, record in driven], machine, only=()).noise_variances()
+    simulated_of_shares = [
+        [simulated for job, record in driven if (simulated := simulated_record(job, record, random, share)) is not None]
+        for share in (0.0, 1.0)
+    ]
+    exact, noisy = (Evidence(runs, machine, only=()).noise_variances() for runs in simulated_of_shares)
+    shares: dict[str, float] = {}
+    for key in measured.keys() & exact.keys() & noisy.keys():
+        if noisy[key] > exact[key]:
+            noise_share = float(np.clip((measured[key] - exact[key]) / (noisy[key] - exact[key]), 0.0, 1.0))
+            shares[key[1]] = max(math.sqrt(noise_share), shares.get(key[1], 0.0))
+    return shares
+
+
+def is_driven_by_voltage(record: Record) -> bool:
+    """Return whether a run logs the voltage of its machine and no current."""
+    fast = record.fast
+    return fast is not None and VOLTAGE in fast.values and ("q_axis_current", "test") not in fast.values
 
 
 def delay_unknown_stamps(jobs: Sequence[Job], random: np.random.Generator) -> None:
@@ -394,13 +430,25 @@ def with_smooth_channels(values: Mapping[Key, Array], ending: str, width: float)
     return {key: smooth(column, width) if key[0].endswith(ending) else column for key, column in values.items()}
 
 
-def simulated_record(job: Job, record: Record, random: np.random.Generator) -> Record | None:
-    """Return a simulated run with channels, noise and rounding of the measured one; None if nothing was simulated."""
+def simulated_record(
+    job: Job, record: Record, random: np.random.Generator, voltage_noise_share: float
+) -> Record | None:
+    """Return a simulated run with channels, noise and rounding of the measured one; None if nothing was simulated.
+
+    voltage_noise_share : of the noise that the voltage of a voltage-driven machine seems to have.
+    """
     if not job.fast and not job.slow:
         return None
     fast, slow = record.fast, record.slow
     if fast is not None:
-        fast = replace(fast, values=channels_as_measured(fast, fast_channels(job), random))
+        simulated_channels = fast_channels(job)
+        values = channels_as_measured(fast, simulated_channels, random)
+        if is_driven_by_voltage(record) and VOLTAGE in simulated_channels:
+            # not rounded: the levels of a command are no steps of a converter
+            noise = coloured_noise(fast.values[VOLTAGE], 0.0, random)
+            exact = np.where(np.isfinite(simulated_channels[VOLTAGE]), simulated_channels[VOLTAGE], values[VOLTAGE])
+            values[VOLTAGE] = exact + voltage_noise_share * noise
+        fast = replace(fast, values=values)
     if slow is not None:
         fed = slow.fed
         if fed is not None and WINDING in job.slow and job.record.slow is not None and job.record.slow.fed is not None:

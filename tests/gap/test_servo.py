@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import Case, diagnose, hold_out_runs
+from leactl.gap.diagnosis import CalibratedParameter
+from leactl.gap.servo.answer import implausible_calibration
 from leactl.gap.servo.effect_sets import fit_effect_sets, likely_effects
 from leactl.gap.servo.fit import FittedServo, fit
 from leactl.gap.servo.runs import servo_runs
 from leactl.gap.servo.simulation import replay, table
+from leactl.gap.verdict.decision import UNKNOWN_PROBABILITY
 
 from .test_axis import PENDULUM, SERVO, channel, recorded, servo_model, swung
 
@@ -213,3 +216,28 @@ def test_fits_side_by_side_end_where_each_ends_alone(tmp_path):
     for start, found in zip(starts, together, strict=True):
         (alone,) = fit(runs, [start])
         assert found.parameters == pytest.approx(alone.parameters)
+
+
+@pytest.mark.parametrize(("inertia", "is_sign"), [(0.2, True), (0.5, False)])
+def test_a_motor_that_no_model_file_is_so_far_off_is_no_calibration(inertia, is_sign):
+    parameters = [
+        CalibratedParameter("rotor_inertia", 1.0, inertia, 0.01, "kg*m^2"),
+        CalibratedParameter("viscous_damping", 1.0, 5.0, 0.1, "N*m*s/rad"),  # may be off by any factor
+    ]
+    sign = implausible_calibration(parameters)
+    assert (sign.probability > UNKNOWN_PROBABILITY) is is_sign
+    assert ("rotor_inertia -80 % off the model's" in sign.note) is is_sign
+
+
+@pytest.mark.long
+def test_a_servo_logged_in_degrees_is_unknown(tmp_path):
+    records = [in_degrees(record) for record in bench(tmp_path)]
+    diagnosis = diagnosed(records)
+    assert (diagnosis.verdict, named(diagnosis)) == ("unknown", [])
+    assert any("is a channel in another unit" in note for note in diagnosis.notes)
+
+
+def in_degrees(record):
+    """A record whose angle and reference are in degrees."""
+    values = {key: np.rad2deg(column) for key, column in record.fast.values.items()}
+    return replace(record, fast=replace(record.fast, values=values))

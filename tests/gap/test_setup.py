@@ -1,5 +1,6 @@
 """Faults of a set-up are named before any effect, with what undoes them; sound channels are left alone."""
 
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -20,14 +21,16 @@ from leactl.gap.setup import (
 from leactl.gap.setup.conventions import convention
 from leactl.gap.setup.expected_channels import direct_pairs, modelled_pairs
 from leactl.gap.setup.faulty_samples import period_of, samples_at_ends
+from leactl.gap.setup.signs_and_scales import fault_of
 from leactl.gap.signals.record import Clocked, build_record
 from leactl.joints.make import draw_machines, draw_runs
+from leactl.model.nominal import Model
 from leactl.quantities import UNITS
 from leactl.vocabulary.variable import VARIABLES
 from tests.gap.drawn_machines import case_of, write_cases
 from tests.gap.joints import Log, case, channels, drawn_joint
 
-VELOCITY = ("velocity", "test")
+ANGLE, VELOCITY = ("angle", "test"), ("velocity", "test")
 STRONG_SPRING = 14002, 117  # seeds of a set of machines and of a case, whose spring looks like a factor of 2 pi
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 SPOILT = {  # channels, what is done to them, the fault, and what its evidence tells
@@ -163,6 +166,18 @@ def test_a_reference_that_holds_a_level_is_not_frozen(cases):
     levels = replace(given, fitted=[given.fitted[1]], held_out=[given.held_out[1]])
     both = spoilt(levels, joint, ["q_axis_current", "q_axis_current_reference"], held)
     assert faulty_samples.find_frozen_channel([*both.fitted, *both.held_out], given.model) is None
+
+
+@pytest.mark.parametrize(
+    ("factor", "multiplier"), [(2.0009, "0.5"), (0.4996, "2"), (57.31, "0.0174533"), (2.06, "0.485437")]
+)
+def test_what_is_a_whole_number_or_a_unit_is_mended_by_that(factor, multiplier):
+    signature = factor_hypotheses.Signature((ANGLE,), {})
+    hypothesis = factor_hypotheses.FaultHypothesis(signature, math.log(factor), 0.004, 1.0, 0.0, 100.0)
+    fault = fault_of([hypothesis], {"a"}, 1, Model(name="joint", winding="wye"))
+    assert fault.change.startswith(
+        f"multiply the `scale` of angle in the mapping, or in the bench file, by {multiplier}"
+    )
 
 
 def test_the_page_has_the_numbers_of_the_code():

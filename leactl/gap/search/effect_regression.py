@@ -305,9 +305,11 @@ class Evidence:
     def unrest(self) -> dict[tuple[str, str], float]:
         """Return the unrest by equation and kind: residual power over row-to-row noise power, times the dependence.
 
-        It is about one where white noise makes all of the residual.
+        It is about one where white noise makes all of the residual. Both powers are means over the runs: the ratio of a
+        run with little noise of its own, such as a slow ramp, says nothing of the others.
         """
-        return self._mean_by_kind(lambda rows: (rows.noise / rows.white_noise) ** 2 * rows.dependence)
+        white_variances = self._mean_by_kind(lambda rows: rows.white_noise**2)
+        return {key: variance / white_variances[key] for key, variance in self.residual_variances().items()}
 
     def noise_variances(self) -> dict[tuple[str, str], float]:
         """Return the variance of the noise from row to row, by equation and run."""

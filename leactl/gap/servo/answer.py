@@ -1,5 +1,6 @@
 """Convert the fitted effect sets of a servo into causes, calibration and notes of a diagnosis."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ from leactl.gap.planning.separating import separating_experiment
 from leactl.gap.replay import replay_all
 from leactl.gap.replay.bench_of_model import plant_of
 from leactl.gap.replay.job import Job
+from leactl.gap.search.effect_regression import PRIORS
 from leactl.gap.search.parameters import LEAST_MODEL_ERROR, UNITS, with_effects
 from leactl.gap.servo.effect_sets import MODEL_PARAMETERS, FittedEffectSets
 from leactl.gap.servo.fit import FittedServo
@@ -19,7 +21,7 @@ from leactl.gap.servo.simulation import FREE_PARAMETERS
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.rig import drive_of
 from leactl.gap.verdict.decision import NAMED_PROBABILITY
-from leactl.gap.verdict.judge import UNCONFIRMED_FACTOR
+from leactl.gap.verdict.judge import MOST_PROBABILITY, UNCONFIRMED_FACTOR, Unexplained
 from leactl.model.nominal import Model
 from leactl.vocabulary.effect import effect_definition
 
@@ -30,6 +32,9 @@ LEAST_LEAP_RATIO = 2.0  # step of the reference over the fastest step of the axi
 TOP_STEP_QUANTILE = 0.99  # quantile of the axis' steps that counts as its fastest
 ARRIVAL_SHARE = 0.1  # share of a leap; an axis this close to its reference has arrived
 STAMP_ERROR_FACTOR = 2.0  # mean square error that a replay may have, in multiples of the error hidden by stamps
+# parameters of a motor whose errors are small beside their values, as friction's are not
+DATA_SHEET_PARAMETERS = ("torque_constant", "phase_resistance", "rotor_inertia")
+MOST_PRIOR_WIDTHS = 5.0  # widths of its prior by which a calibrated parameter may differ from the model's
 CONFIRMED_ERROR_RATIO = 0.95  # mean square error with an effect over that without, below which free runs confirm it
 
 
@@ -129,6 +134,27 @@ def mean_square_errors(records: Sequence[Record], models: Sequence[Model]) -> li
 def _entry(cause: Cause) -> tuple[str, dict[str, float]]:
     """Return the effect of a cause with its parameters, as an entry of a model."""
     return cause.effect, {parameter.name: parameter.value for parameter in cause.parameters}
+
+
+def implausible_calibration(parameters: Sequence[CalibratedParameter]) -> Unexplained:
+    """Return the sign of runs that no motor of this model file makes: the farthest parameter that a data sheet gives.
+
+    An angle in another unit is followed by a motor without resistance and inertia as closely as by the right one.
+    """
+    widths = {
+        item: abs(item.fitted - item.nominal) / math.hypot(PRIORS[item.parameter] * item.nominal, item.std)
+        for item in parameters
+        if item.parameter in DATA_SHEET_PARAMETERS and item.nominal
+    }
+    farthest = max(widths, key=lambda item: widths[item], default=None)
+    if farthest is None or widths[farthest] < MOST_PRIOR_WIDTHS:
+        return Unexplained(0.0, "")
+    change = 100.0 * (farthest.fitted / farthest.nominal - 1.0)
+    note = (
+        f"unexplained: these runs need a {farthest.parameter} {change:+.0f} % off the model's, {widths[farthest]:.2g}"
+        " times what a model file may be off; is a channel in another unit, or the model of another motor?"
+    )
+    return Unexplained(MOST_PROBABILITY, note)
 
 
 def angle_error_ratios(shrinkage: Sequence[Shrinkage], records: Sequence[Record]) -> dict[tuple[str, str, str], float]:

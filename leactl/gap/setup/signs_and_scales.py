@@ -14,6 +14,7 @@ from leactl.gap.setup.contract import SetUpFault, with_values
 from leactl.gap.setup.conventions import (
     CONVENTION_TOLERANCE,
     CURRENT_FACTORS,
+    FACTORS,
     UNIT_FACTORS,
     convention,
     time_unit,
@@ -28,6 +29,7 @@ SIGN, SCALE, COUNTS, POLES, TIME_BASE = "channel_sign", "channel_scale", "encode
 LEAST_AMBIGUOUS_ERROR = 0.25  # error of a factor from which it may be a whole number
 FAULT_PROBABILITY = 0.99  # probability that a fault acts that all relations agree on, or one of its peers
 UNCONVENTIONAL_COST = 4.0  # squared standard deviations added to the misfit of a factor that is no convention
+MOST_EXACT_STDS = 3.0  # largest distance of a fitted factor from an exact one that it agrees with, standard errors
 MOST_UNIT_DISTANCE_RATIO = 0.25  # distance of a factor from a certain unit, over that from a whole number
 SCALING_PARAMETERS = {"torque_constant"}  # model parameters whose error looks like a scaled channel
 THOUSAND_FACTORS = ("1000", "1/1000")  # factors of units that electrical channels may have, too
@@ -165,12 +167,26 @@ def sign_fault(best: FaultHypothesis, runs_text: str, runs: set[str]) -> SetUpFa
     )
 
 
-def scale_fault(best: FaultHypothesis, runs_text: str, runs: set[str]) -> SetUpFault:
-    """Return the fault of channels in another unit or convention."""
+def exact_factor(best: FaultHypothesis, size: float | None) -> float:
+    """Return the factor to mend by: the exact one where the fitted one agrees with it, since a fit's error would stay.
+
+    size : the exact absolute factor, if there is one.
+    """
+    if size is None or abs(best.size - math.log(size)) > MOST_EXACT_STDS * best.error:
+        return best.factor
+    return best.sign * size
+
+
+def scale_fault(best: FaultHypothesis, runs_text: str, runs: set[str], size: float | None = None) -> SetUpFault:
+    """Return the fault of channels in another unit or convention.
+
+    size : the exact absolute factor; by default that of the convention, if the factor has one.
+    """
     keys = best.signature.keys
-    names, multiplier = " and ".join(name for name, _ in keys), f"{1.0 / best.factor:.6g}"
+    factor = exact_factor(best, size or FACTORS.get(convention(math.exp(best.size), best.error)))
+    names, multiplier = " and ".join(name for name, _ in keys), f"{1.0 / factor:.6g}"
     change = f"multiply the `scale` of {names} in the mapping, or in the bench file, by {multiplier}"
-    mend = partial(with_divided_channels, keys=keys, factor=best.factor, runs=runs)
+    mend = partial(with_divided_channels, keys=keys, factor=factor, runs=runs)
     return SetUpFault(
         SCALE, keys[0], FAULT_PROBABILITY, factor_text(best, runs_text), change, mend, factor_parameters(best)
     )
@@ -178,14 +194,16 @@ def scale_fault(best: FaultHypothesis, runs_text: str, runs: set[str]) -> SetUpF
 
 def count_fault(best: FaultHypothesis, runs_text: str, runs: set[str], model: Model) -> SetUpFault:
     """Return the fault of an angle in another unit, with another count a turn, or of an electrical angle."""
-    size, fault = math.exp(best.size), scale_fault(best, runs_text, runs)
+    size = math.exp(best.size)
     number, unit = whole_number(size, best.error), convention(size, best.error)
     if unit in UNIT_FACTORS and not (number and log_distance(size, number) < log_distance(size, UNIT_FACTORS[unit])):
         is_certain = best.error < CONVENTION_TOLERANCE and (
             number is None
             or log_distance(size, UNIT_FACTORS[unit]) < MOST_UNIT_DISTANCE_RATIO * log_distance(size, number)
         )
-        return replace(fault, peers=() if is_certain else (POLES, COUNTS))
+        return replace(scale_fault(best, runs_text, runs), peers=() if is_certain else (POLES, COUNTS))
+    whole_size = None if number is None else number if size > 1.0 else 1.0 / number
+    fault = scale_fault(best, runs_text, runs, whole_size)
     if number is None:
         change = (
             f"{fault.change}: a turn has {size:.4g} times the counts that were set, or a gear of that ratio is between"
