@@ -297,7 +297,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     applied = apply(
         case.model,
         calibrated_alone,
-        [named_causes] if servo_runs and named_causes else [[cause] for cause in named_causes],
+        [[cause] for cause in named_causes],
         refit,
         lambda calibrated, augmented: shrinkage(
             replayed, case.nominal or case.model, calibrated, augmented, unexplained=case.unexplained

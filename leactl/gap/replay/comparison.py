@@ -44,8 +44,12 @@ class Compared:
         return np.asarray((self.measured - self.replayed[model]) ** 2, np.float64)
 
     def floor_squares(self) -> Array:
-        """Return the squared distance of the last model to its own noisy output at each sample."""
-        return np.asarray((self.disturbed - self.replayed[-1]) ** 2 + self.noise**2, np.float64)
+        """Return the squared distance of the last model to its own noisy output at each sample.
+
+        A distance beyond the range of the measured channel is that of a replay that ran away; it counts as this range.
+        """
+        distance = np.minimum(np.abs(self.disturbed - self.replayed[-1]), np.ptp(self.measured))
+        return np.asarray(distance**2 + self.noise**2, np.float64)
 
 
 def compare(record: Record, jobs: Sequence[Job], disturbed: Job) -> list[Compared]:
@@ -56,6 +60,7 @@ def compare(record: Record, jobs: Sequence[Job], disturbed: Job) -> list[Compare
     """
     channels = []
     locked_signals = fast_signals(record, jobs[0].plant.model, None) if record.mechanical == "locked" else None
+    followed = followed_samples(jobs[0]) if record.fast is not None else None
     for name, clock in (("fast", record.fast), ("slow", record.slow)):
         if clock is None:
             continue
@@ -67,11 +72,28 @@ def compare(record: Record, jobs: Sequence[Job], disturbed: Job) -> list[Compare
                 restarts_with_motion = key[0] in ("velocity", "torque", "q_axis_voltage")
                 restarts = restarts_with_motion and any(job.restarts for job in jobs)
                 mask = np.all(np.isfinite(replayed), axis=0)
+                if restarts and clock is record.fast and followed is not None:
+                    mask &= followed
                 if locked_signals is not None and key[0] in ("velocity", "torque"):
                     mask &= locked_signals.unleapt  # after a leap the rotor's sliding is unknown to any replay
                 channel = _compared(record, clock, key, values, replayed, mask, restarts)
                 channels += [channel] if channel is not None else []
     return channels
+
+
+def followed_samples(job: Job) -> Mask:
+    """Return the samples of a motion between its latest restart and the next long gap in what drives it.
+
+    Nobody knows what drove the rotor in a gap: behind it a replay is of another motion, until it restarts.
+    """
+    clock, driving = job.clock, ("q_axis_current", "test")
+    keys = [driving, ("q_axis_current", "load")] if driving in clock.values else [("q_axis_voltage", "test")]
+    followed = np.ones(len(clock.time), bool)
+    starts = job.starts if job.starts is not None else np.zeros(0, np.intp)
+    for begin, end in clock.long_gaps([*keys, ("angle", "test"), ("velocity", "test")]):
+        later_starts = starts[starts >= end]
+        followed[begin : int(later_starts[0]) if len(later_starts) else None] = False
+    return followed
 
 
 def measured_channel(clock: Clocked, key: Key) -> Array | None:

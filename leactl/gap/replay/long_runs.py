@@ -261,6 +261,7 @@ def temperatures_around(clock: Clocked, begin_time: float, end_time: float) -> C
         time=clock.time[window],
         values={key: values[window] for key, values in clock.values.items()},
         valid={key: valid[window] for key, valid in clock.valid.items()},
+        measured={key: valid[window] for key, valid in clock.measured.items()},
         between={},
         fed=None if clock.fed is None else clock.fed[window],
         aside=True,

@@ -33,6 +33,7 @@ def decimated(clock: Clocked, factor: int) -> Clocked:
         interval=factor * clock.interval,
         values=values,
         valid={key: np.all(valid[:rows].reshape(-1, factor), axis=1) for key, valid in clock.valid.items()},
+        measured={key: np.all(valid[:rows].reshape(-1, factor), axis=1) for key, valid in clock.measured.items()},
         means=means,
         fed=None if clock.fed is None else clock.fed[ends],
         decimation=factor * clock.decimation,

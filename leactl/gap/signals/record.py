@@ -3,7 +3,7 @@
 A sample that is NaN in the file is interpolated for the filters and left out of every row that it touches.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -57,6 +57,8 @@ class Clocked:
     begin: float | None = None  # first stamp of the whole run, where this is a stretch
     fastest: float = 0.0  # rad/s or m/s, highest speed of the whole run, where this is a stretch
     decimation: int = 1  # samples of the log in one sample of this clock
+    # masks of measured samples where `valid` lacks held-out ones, too; empty where they are equal
+    measured: dict[Key, Mask] = field(default_factory=dict)
     aside: bool = False  # whether it only gives a stretch its temperatures; the whole run has the thermal equations
     # for a run read in stretches: means over all samples of the drive's clock in the interval after each stamp
     driven: dict[str, Array] = field(default_factory=dict)
@@ -98,6 +100,15 @@ class Clocked:
                 mask &= self.valid[key]
         return mask
 
+    def long_gaps(self, keys: Sequence[Key]) -> list[tuple[int, int]]:
+        """Return begin and end of each long gap of any of these channels; held-out samples are no gap."""
+        masks = self.measured or self.valid
+        present = np.ones(len(self.time), bool)
+        for key in keys:
+            present &= masks.get(key, present)
+        ends = np.flatnonzero(np.diff(np.concatenate([[1], present.astype(np.intp), [1]]))).reshape(-1, 2)
+        return [(begin, end) for begin, end in ends.tolist() if end - begin >= LONG_GAP]
+
 
 @dataclass
 class Record:
@@ -138,7 +149,8 @@ class Record:
                 return None
             stretch = ((clock.time - begin) / (end - begin) * STRETCHES).astype(np.intp)
             is_kept = (stretch % HELD_OUT_EVERY == HELD_OUT_EVERY // 2) == is_held_out
-            return replace(clock, valid={key: valid & is_kept for key, valid in clock.valid.items()})
+            valid = {key: valid & is_kept for key, valid in clock.valid.items()}
+            return replace(clock, valid=valid, measured=clock.valid)
 
         remaining, held_out = (
             replace(self, fast=masked(self.fast, is_held_out), slow=masked(self.slow, is_held_out))
