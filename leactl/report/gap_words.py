@@ -28,7 +28,7 @@ CLOSES_NOTHING = "No gap of held-out runs shrinks with these effects by more tha
 MENDED_FIRST = "Gaps are of the runs once the set-up is mended."
 TIME = "time"  # name of time in `Rest.depends_on`
 VERDICTS = {
-    "none": "The model explains these runs; no gap is left.",
+    "none": "The model explains these runs; no effect is missing.",
     "calibration": "Other parameters explain these runs; no effect is missing.",
     "effect": "The model lacks {causes}.",
     "unknown": "A gap remains that no effect of the library explains.",

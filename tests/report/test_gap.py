@@ -152,7 +152,7 @@ def test_five_regions_at_most():
 
 def test_an_answer_without_a_gap_is_short():
     assert render(DiagnosisResult("none", 0.003)) == (
-        "verdict: none. The model explains these runs; no gap is left.\n"
+        "verdict: none. The model explains these runs; no effect is missing.\n"
         "probability that something unexplained acts: < 0.01\n"
     )
 
