@@ -139,13 +139,13 @@ def scaled(servo, torque=1.0, current=1.0, time=1.0):
     return replace(servo, **changed)
 
 
-def case(servo, random, volts=True, thin=1, kinds=KINDS, again=2):
+def case(servo, random, volts=True, thin=1, kinds=KINDS, again=2, start=None):
     """Runs of each kind, the last of each held out; `thin` keeps every so many samples."""
     model = servo.model(random)
     names = [(kind, chr(97 + turn)) for turn in range(again) for kind in kinds]
     time = servo.interval * np.arange(round(servo.seconds / servo.interval))
     goals = np.stack([goal(kind, servo, time, random) for kind, _ in names])
-    angle, duty = simulated(servo, goals, random)
+    angle, duty = simulated(servo, goals, random, goals[:, 0] if start is None else np.full(len(goals), start))
     kept = slice(None, None, thin)
     records = []
     for (kind, turn), asked, read, pushed in zip(names, goals, angle, duty, strict=True):
@@ -176,12 +176,12 @@ def goal(kind, servo, time, random):
     return swing * random.uniform(0.6, 0.9) * np.sin(phase - phase[0])
 
 
-def simulated(servo, goals, random):
+def simulated(servo, goals, random, start):
     """Angle [rad] by the encoder and the share of the supply at every sample, a row a run."""
     parts = max(4, int(np.ceil(FINEST * servo.interval / servo.response)))
     step, runs = servo.interval / parts, len(goals)
     inertia, level = servo.inertia + servo.mass * servo.length**2, servo.mass * servo.gravity * servo.length
-    angle, speed, point, pace = goals[:, 0].copy(), np.zeros(runs), goals[:, 0].copy(), np.zeros(runs)
+    angle, speed, point, pace = start.copy(), np.zeros(runs), start.copy(), np.zeros(runs)
     followed, duty, rub, left = point.copy(), np.zeros(runs), servo.friction, 0
     angles, duties = np.empty_like(goals), np.empty_like(goals)
     earlier = goals[:, 0].copy()

@@ -61,6 +61,16 @@ def test_a_limited_servo_is_diagnosed_whole_from_position_goal_and_duty():
     assert not any("reference_rate_limit" in note and "invisible" in note for note in answer.notes)
 
 
+def test_a_limited_servo_may_begin_far_from_its_first_goal():
+    servo, random = drawn(3, "LIMIT", seconds=8.0, free=False)
+    servo = replace(servo, acceleration=np.inf)
+    diagnosis = diagnose(servos.case(servo, random, kinds=("steps", "sines"), start=0.0))
+    assert named(diagnosis) == ["reference_rate_limit"], "what begins elsewhere makes up a saturation"
+    assert diagnosis.causes[0].parameters[0].value == pytest.approx(servo.speed, rel=0.02)
+    (angle,) = [line for line in diagnosis.shrinkage if line.quantity == "angle"]
+    assert angle.augmented_rms < 0.05 * angle.calibrated_rms
+
+
 @pytest.mark.long
 def test_a_limited_servo_is_told_from_a_weak_motor_by_position_and_goal_alone():
     servo, random = drawn(4, "limit", seconds=8.0, free=True)
@@ -92,7 +102,7 @@ def test_a_servo_s_voltage_that_rests_or_stands_at_its_limit_is_no_fault_of_the_
 
 def test_a_set_point_goes_no_faster_than_its_limits_and_arrives():
     reference = np.repeat([[0.0, 1.0, -0.5]], 400, axis=1)
-    _, ends = profile(reference, 0.01, np.array([[0.5]]), np.array([[0.2]]))
+    _, ends = profile(reference, 0.01, np.array([[0.5]]), np.array([[0.2]]), reference[:, 0])
     pace = np.diff(ends[0, 0]) / 0.01
     assert np.abs(pace).max() <= 2.0 + 1e-9
     assert np.abs(np.diff(pace)).max() / 0.01 <= 5.0 + 1e-6
@@ -103,7 +113,7 @@ def test_a_set_point_goes_no_faster_than_its_limits_and_arrives():
 
 def test_a_set_point_without_a_limit_is_its_reference():
     reference = np.cumsum(np.random.default_rng(1).normal(size=(2, 50)), axis=1)
-    begins, ends = profile(reference, 0.01, np.array([[0.0]]), np.array([[0.0]]))
+    begins, ends = profile(reference, 0.01, np.array([[0.0]]), np.array([[0.0]]), reference[:, 0])
     np.testing.assert_allclose(begins[0], reference)
     np.testing.assert_allclose(ends[0], reference)
     np.testing.assert_allclose(delayed_rows(reference, 1.0)[:, 1:], reference[:, :-1])

@@ -134,8 +134,14 @@ def angle_set_point(job: Job) -> Array:
     """Return a servo's angle set-point [rad] at the instants; NaN while the drive is disabled."""
     reference, enabled = job.clock.values["angle_reference", "test"], job.clock.get("drive_enabled")
     set_point = np.append(np.repeat(reference[:-1], job.parts), reference[-1])
+    angle = job.clock.get("angle")
+    if job.plant.set_point and angle is not None:
+        set_point[0] = angle[0]  # a limited set-point is near the axis, and may be far from the reference
     for transform in (*job.plant.loop_answer, *job.plant.set_point):
         set_point = transform(set_point, job.step)
+    if delay := job.clock.reference_delay:  # of the set-point: rows between two references would start a ramp early
+        instants = np.arange(len(set_point))
+        set_point = np.interp(instants - delay / job.step, instants, set_point)
     # the stepper's step is centred on an instant, at which a reference changes: it takes the mean of both values
     set_point = np.append(set_point[:1], 0.5 * (set_point[:-1] + set_point[1:]))
     if enabled is not None:

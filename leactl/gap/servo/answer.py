@@ -15,7 +15,6 @@ from leactl.gap.search.effect_regression import PRIORS
 from leactl.gap.search.parameters import LEAST_MODEL_ERROR, UNITS, with_effects
 from leactl.gap.servo.effect_sets import MODEL_PARAMETERS, FittedEffectSets
 from leactl.gap.servo.fit import FittedServo
-from leactl.gap.servo.profile import delayed_rows
 from leactl.gap.servo.runs import runs_at_common_rate
 from leactl.gap.servo.simulation import FREE_PARAMETERS
 from leactl.gap.signals.record import Record
@@ -73,12 +72,9 @@ def with_delayed_references(records: Sequence[Record], model: Model, delay: floa
 
 
 def _with_delayed_reference(record: Record, delay: float) -> Record:
-    """Return a run whose angle reference is `delay` [s] later."""
-    clock = record.fast
-    assert clock is not None
-    key = ("angle_reference", "test")
-    values = clock.values | {key: delayed_rows(clock.values[key][None], delay / clock.interval)[0]}
-    return replace(record, fast=replace(clock, values=values))
+    """Return a run whose angle reference acts `delay` [s] later."""
+    assert record.fast is not None
+    return replace(record, fast=replace(record.fast, reference_delay=delay))
 
 
 def causes(

@@ -61,22 +61,30 @@ class SetPoints:
         limits = [limit for limit in limits if limit != UNLIMITED]
         if limits:
             slowness, sluggishness = (np.array(values)[:, None] for values in zip(*limits, strict=True))
-            begins, ends = profile(self._runs.reference, self._runs.interval, slowness, sluggishness)
+            begins, ends = profile(
+                self._runs.reference, self._runs.interval, slowness, sluggishness, self._runs.angle[:, 0]
+            )
             self._profiles.update({limit: (begins[k], ends[k]) for k, limit in enumerate(limits)})
 
 
-def profile(reference: Array, interval: float, slowness: Array, sluggishness: Array) -> tuple[Array, Array]:
+def profile(
+    reference: Array, interval: float, slowness: Array, sluggishness: Array, start: Array
+) -> tuple[Array, Array]:
     """Return limited set-points (sets, runs, samples) at the beginning and the end of the interval after each sample.
 
     They go to references (runs, samples) as fast as inverse limits (sets, 1) allow and as they can still stop there. In
-    the interval of its arrival a set-point is at the goal from the beginning, as it would be without a limit.
+    the interval of its arrival a set-point moves only for a share of it, and rests at the goal then. Its beginning is
+    the one from which a straight course through the interval has the same mean: the goal itself without a limit.
+
+    start : first set-points of the runs. No log tells them; a limited one is near the axis, which follows it, and may
+        be far from the first reference.
     """
     lanes = (len(slowness), len(reference))
     highest_speed = np.broadcast_to(1.0 / np.maximum(slowness, LEAST_INVERSE_LIMIT), lanes).copy()
     highest_change = np.broadcast_to(interval / np.maximum(sluggishness, LEAST_INVERSE_LIMIT), lanes).copy()
     lowest_speed, lowest_change = -highest_speed, -highest_change
     brake_factor = np.broadcast_to(2.0 * sluggishness / interval, lanes).copy()
-    set_point, speed = np.repeat(reference[None, :, 0], len(slowness), axis=0), np.zeros(lanes)
+    set_point, speed = np.repeat(start[None, :], len(slowness), axis=0), np.zeros(lanes)
     begins, ends = np.empty((reference.shape[1], *lanes)), np.empty((reference.shape[1], *lanes))
     has_acceleration_limit = bool(np.any(sluggishness > 0.0))
     change, share = np.empty(lanes), np.empty(lanes)
@@ -106,9 +114,9 @@ def profile(reference: Array, interval: float, slowness: Array, sluggishness: Ar
         set_point += change
         ends[sample] = set_point
     goal = reference.T[:, None, :]
-    np.copyto(
-        begins, np.broadcast_to(goal, begins.shape), where=np.abs(ends - goal) <= GOAL_TOLERANCE * np.abs(goal - begins)
-    )
+    distance = goal - begins
+    moving_share = np.minimum(np.abs(distance) / (highest_speed * interval), 1.0)
+    np.copyto(begins, goal - moving_share * distance, where=np.abs(ends - goal) <= GOAL_TOLERANCE * np.abs(distance))
     return np.moveaxis(begins, 0, 2), np.moveaxis(ends, 0, 2)
 
 

@@ -56,6 +56,7 @@ class Clocked:
     fed: Array | None = None  # degC, temperature of the phases that two leads feed; None where not measured apart
     begin: float | None = None  # first stamp of the whole run, where this is a stretch
     fastest: float = 0.0  # rad/s or m/s, highest speed of the whole run, where this is a stretch
+    reference_delay: float = 0.0  # s, by which an angle's reference acts after its stamp
     decimation: int = 1  # samples of the log in one sample of this clock
     # masks of measured samples where `valid` lacks held-out ones, too; empty where they are equal
     measured: dict[Key, Mask] = field(default_factory=dict)
