@@ -131,6 +131,25 @@ def test_teeth_begin_on_the_flank_that_presses_where_no_motion_was_measured():
     assert np.all(np.isfinite(job.velocity))
 
 
+@pytest.mark.parametrize(
+    "effect",
+    [
+        ("encoder_eccentricity", {"amplitude": 0.02, "phase": 0.5}),
+        ("transmission_error", {"amplitude": 0.002, "order": 12.0, "phase": 0.5}),
+    ],
+)
+def test_a_speed_made_of_the_angle_has_the_encoder_s_error(effect):
+    run = run_of("free")
+    del run.fast.values[VELOCITY]
+    plain, changed = replay(run, model()), replay(run, model(effect))
+    amplitude, order, phase = (({"order": 1.0} | effect[1])[name] for name in ("amplitude", "order", "phase"))
+    rotor_angle = changed.angle[:: changed.parts][: len(changed.clock.time)]
+    until_restart = slice(300, 1000)  # from where the other speed at its start is forgotten
+    rate_of_error = np.gradient(amplitude * np.sin(order * rotor_angle + phase), INTERVAL_S)[until_restart]
+    added_speed = (changed.fast[VELOCITY] - plain.fast[VELOCITY])[until_restart]
+    assert added_speed == pytest.approx(rate_of_error, abs=0.1 * np.ptp(rate_of_error))
+
+
 def test_faults_of_one_sensor_follow_each_other():
     plain = replayed("locked")[TORQUE]
     both = replayed("locked", ("torque_sensor_gain", {"gain": 1.1}), ("torque_sensor_offset", {"offset": 0.3}))[TORQUE]

@@ -70,17 +70,21 @@ def replayed_current(job: Job) -> Array | None:
 
 def replayed_velocity(job: Job) -> Array:
     """Return the velocity reading [rad/s]: encoder differences through the drive's filter."""
+    return filtered_speed(job, encoder_speed(job), job.plant.velocity_reading)
+
+
+def derived_speed(job: Job) -> Array:
+    """Return the smoothed rate of the encoder's angle [rad/s], for runs that record no velocity."""
+    return smooth(means_over_samples(encoder_speed(job)[: (len(job.clock.time) - 1) * job.parts], job.parts))
+
+
+def encoder_speed(job: Job) -> Array:
+    """Return the rate of the encoder's angle [rad/s] over each sub-step: the rotor's speed with the encoder's error."""
     assert job.velocity is not None and job.angle is not None
     speed = job.velocity
     for error in job.plant.angle_error:
         speed = speed + (error(job.angle + job.step * job.velocity) - error(job.angle)) / job.step
-    return filtered_speed(job, speed, job.plant.velocity_reading)
-
-
-def derived_speed(job: Job) -> Array:
-    """Return the smoothed rate of the angle [rad/s], for runs that record no velocity."""
-    assert job.velocity is not None
-    return smooth(means_over_samples(job.velocity[: (len(job.clock.time) - 1) * job.parts], job.parts))
+    return speed
 
 
 def filtered_speed(job: Job, speed_of_steps: Array, sensor_errors: Sequence[Becomes] = ()) -> Array:
