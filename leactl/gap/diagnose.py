@@ -308,9 +308,10 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     shrunk = applied.shrunk
     causes = confirmed_causes(causes, applied)
     if servo_runs:
-        strongest_sign = servo_answer.implausible_calibration(applied.fitted.calibration)
-        if not strongest_sign.probability:  # else it also tells why angles are off
-            strongest_sign = unexplained_in_channels(servo_answer.angle_error_ratios(shrunk.shrinkage, replayed), {})
+        strongest_sign = unexplained_in_channels(servo_answer.angle_error_ratios(shrunk.shrinkage, replayed), {})
+        is_off = strongest_sign.probability >= UNKNOWN_PROBABILITY  # then a withdrawn calibration may tell why
+        implausible = servo_answer.implausible_calibration(parameters if is_off else applied.fitted.calibration)
+        strongest_sign = implausible if implausible.probability else strongest_sign
     gap_regions = where(replayed, shrunk.channels, applied.fitted.causes)
     notes = condition_notes(case.fitted, case.held_out) + reading_notes([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
