@@ -290,8 +290,8 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         )
     named_causes = [cause for cause in causes if cause.probability >= NAMED_PROBABILITY and cause.effect in members]
     progress("simulating again")
-    stamps = evidence.stamping(searched.fit)
-    replayed = [stamped(record, stamps) for record in case.replayed()]
+    lateness = evidence.lateness(searched.fit)
+    replayed = [stamped(record, lateness) for record in case.replayed()]
     if servo_runs:
         replayed = servo_answer.with_delayed_references(replayed, case.model, fitted_sets.reference_delay)
     applied = apply(
@@ -357,7 +357,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
                 + set_notes
                 + applied.notes
                 + notes
-                + stamp_notes(stamps, evidence.on_time, MOST_STAMP_DELAY)
+                + stamp_notes(lateness, evidence.on_time, MOST_STAMP_DELAY)
                 + setpoint_notes(case.fitted)
                 + null_notes(evidence, null)
                 + shrunk.notes
@@ -389,8 +389,8 @@ def separate_classes(
     case: Case, evidence: Evidence, searched: EffectSet, judgements: Sequence[Judged]
 ) -> tuple[EffectSet, list[RuledOut]]:
     """Return the set with the effect of each class that fits the held-out runs best, and the effects ruled out."""
-    stamps = evidence.stamping(searched.fit)
-    replayed = [stamped(record, stamps) for record in case.replayed()]
+    lateness = evidence.lateness(searched.fit)
+    replayed = [stamped(record, lateness) for record in case.replayed()]
 
     @cache
     def model_of(hypothesis: tuple[Candidate, ...]) -> Model:

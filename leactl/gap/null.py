@@ -9,6 +9,7 @@ are the floors of the equations, and the changes of the parameters are their err
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import mul
 
 import numpy as np
 import numpy.typing as npt
@@ -147,20 +148,23 @@ def set_floors(evidence: Evidence, null: Null) -> None:
     """Set the floors of the evidence from the null.
 
     The floor of a form of a shaped effect is multiplied by the ratio of its standard errors in the case and in the runs
-    of sound machines, if that is below one: their drive follows the reference where the real one is at a limit. Two
-    floors stay: the size that all machines have in common, and the floor of a form whose error is infinite, since no
-    run shows it, or zero, since runs without noise show it exactly.
+    of sound machines, if that is below one: their drive follows the reference where the real one is at a limit. So is
+    the size that all machines have in common, of limits of the current alone: a limit that few of their samples would
+    meet fits whatever these samples have in common. A floor stays whose error is infinite, since no run shows the form,
+    or zero, since runs without noise show it exactly.
     """
     evidence.compare_with(null)
     for effect, fits in fit_each_alone(evidence).items():
         if not library()[effect].shaped or (sizes := null.floors.get(effect)) is None:
             continue
-        sizes_and_errors = zip(sizes, standard_errors(effect, fits), null.errors[effect], strict=True)
-        scaled = [
-            size * min(case_error / sound_error, 1.0) if 0.0 < sound_error < math.inf else size
-            for size, case_error, sound_error in sizes_and_errors
+        shares = [
+            min(case_error / sound_error, 1.0) if 0.0 < sound_error < math.inf else 1.0
+            for case_error, sound_error in zip(standard_errors(effect, fits), null.errors[effect], strict=True)
         ]
-        evidence.by_form[effect] = evidence.floors_of(effect, scaled)
+        common_sizes: Sequence[float] = null.common_sizes.get(effect, ())
+        if library()[effect].limits_current:
+            common_sizes = list(map(mul, common_sizes, shares))
+        evidence.by_form[effect] = evidence.floors_of(effect, list(map(mul, sizes, shares)), common_sizes)
 
 
 @dataclass

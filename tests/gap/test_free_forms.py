@@ -88,6 +88,20 @@ def test_a_sign_has_no_free_form():
     assert missed_by_form(equations_of(several), [asymmetric], asymmetric) == math.inf
 
 
+def test_the_error_of_a_law_counts_only_where_the_other_effect_acts():
+    """A spring that is not linear says nothing against a faint drag in another equation, which the spring is not in."""
+    drag = 0.003
+    springs = [run(stiffening, seed) for seed in range(3)]
+    drags = [run(lambda angle: 0.0 * angle, seed, equation="velocity", drag=drag) for seed in range(3)]
+    for rows in springs:
+        del rows.columns["effect", DRAG[0], repr(DRAG[1]), "drag"]
+    for rows in drags:
+        del rows.columns["effect", SPRING[0], repr(SPRING[1]), "stiffness"]
+    equations = equations_of([*springs, *drags])
+    assert gain(equations, [SPRING], DRAG) < missed_by_form(equations, [SPRING, DRAG], SPRING)
+    assert outdoes_free_forms(equations, [SPRING], DRAG)
+
+
 def test_beside_no_effect_nothing_is_let_free():
     assert outdoes_free_forms(normal(linear), [], SPRING)
 

@@ -25,7 +25,7 @@ from leactl.gap.null import (
 )
 from leactl.gap.replay.cutting import TRACKING_SAMPLES
 from leactl.gap.search.effect_regression import BIAS_DOUBT_SHARE, NEGLIGIBLE_SHARE, PRIORS, Evidence
-from leactl.gap.search.effect_sets import ENTRY_HEIGHT, FurtherEffect
+from leactl.gap.search.effect_sets import ENTRY_HEIGHT, FurtherEffect, fit_each_alone, standard_errors
 from leactl.gap.search.parameters import calibrated_parameters, nominal_value
 from leactl.gap.search.stamp_fit import MOST_STAMP_DELAY, STAMP_DELAY_STD
 from leactl.gap.signals.derived import hidden_step_samples, resolved_samples
@@ -124,6 +124,29 @@ def test_a_form_that_no_run_shows_has_the_floor_of_the_next_that_is_shown(case, 
     assert [evidence.floor((name, form)) for form, hides in zip(forms, hidden, strict=True) if not hides] == [
         floor for floor in floors if floor
     ]
+
+
+@pytest.mark.parametrize(("effect", "is_rescaled"), [("torque_limit", True), ("transport_delay", False)])
+def test_a_limit_that_few_sound_samples_would_meet_has_no_floor_of_what_these_have_in_common(
+    case, null, effect, is_rescaled
+):
+    """The case shows each form a hundred times as sharply as sound machines do."""
+    evidence = Evidence(case.fitted, case.model)
+    forms = evidence.forms[effect]
+    case_errors = standard_errors(effect, fit_each_alone(evidence)[effect])
+    common = {effect: [1.4] * len(forms)}
+    sound = replace(
+        null,
+        floors={effect: [0.0] * len(forms)},
+        common_sizes=common,
+        errors={effect: [100.0 * error for error in case_errors]},
+    )
+    set_floors(evidence, sound)
+    shown = [form for form, error in zip(forms, case_errors, strict=True) if 0.0 < error < math.inf]
+    assert shown
+    for form in shown:
+        least_floor = NEGLIGIBLE_SHARE * evidence.worth_knowing.get(effect, 0.0)
+        assert evidence.floor((effect, form)) == pytest.approx(max(0.014 if is_rescaled else 1.4, least_floor))
 
 
 def test_what_an_equation_leaves_does_not_shrink_with_its_noise(case, null):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import diagnose
+from leactl.gap.replay import replay
 from leactl.gap.signals import setpoints
 from leactl.gap.signals.setpoints import (
     LEAST_NEXT_ROW_STDS,
@@ -17,6 +18,7 @@ from leactl.gap.signals.setpoints import (
     leaps,
     mark_setpoints,
     stds_against_next_row,
+    unknown_setpoints,
     weight_of_next_row,
 )
 from leactl.gap.signals.stamps import TAPS, neighbour
@@ -81,6 +83,23 @@ def test_a_drive_of_a_limited_rate_is_no_sign_of_setpoints_between_rows(seed):
     runs = [(record, shown) for record in limited.held_out if (shown := follow(record, limited.model)) is not None]
     assert any(changes_between(shown.residuals, shown.leap_sizes) for _, shown in runs), "the limit is missed at leaps"
     assert not changes_setpoints_between_rows(limited)
+
+
+def test_a_replay_takes_the_current_as_measured_where_a_setpoint_between_rows_may_have_moved_it():
+    drawn = joint_case(0, times_thinned=1)
+    runs = mark_setpoints([*drawn.fitted, *drawn.held_out], drawn.model)
+    leaping = max(runs, key=lambda record: int(unknown_setpoints(record.fast, drawn.model).sum()))
+    unknown = unknown_setpoints(leaping.fast, drawn.model)
+    job = replay(leaping, drawn.model)
+    reading = job.fast["q_axis_current", "test"]
+    assert 0.0 < unknown.mean() < 0.9
+    assert np.isnan(reading[unknown]).all()
+    assert np.isfinite(reading[~unknown][job.first + 1 :]).all()
+    ends = slice(job.parts, None, job.parts)
+    driving, measured = job.current[ends], leaping.fast.values["q_axis_current", "test"][1:]
+    miss = np.abs(driving - measured[: len(driving)])[unknown[1:]]
+    held = replay(replace(leaping, fast=replace(leaping.fast, setpoints_between=False)), drawn.model).current[ends]
+    assert miss.max() < 0.1 * np.abs(held - measured[: len(held)])[unknown[1:]].max()
 
 
 @pytest.mark.parametrize("times_thinned", [0, 1, 2])

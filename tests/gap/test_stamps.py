@@ -7,7 +7,7 @@ from leactl.gap.diagnose import diagnose
 from leactl.gap.search.effect_regression import Evidence
 from leactl.gap.search.effect_sets import ENTRY_HEIGHT, fit_further_effect
 from leactl.gap.signals.setpoints import mark_setpoints
-from leactl.gap.signals.stamps import TAPS, lateness, neighbour, restamped
+from leactl.gap.signals.stamps import TAPS, lateness_of, neighbour, restamped
 from tests.gap.joints import Effect, Log, case, drawn_joint, drawn_log
 
 TOO_FAST = ("command_slew_limit", (1e6,))  # A/s, that no joint's command reaches
@@ -120,8 +120,10 @@ def test_neighbours_make_a_signal_late_by_what_they_are_said_to():
     slow = np.sin(2.0 * np.pi * time)
     weights = np.zeros(len(TAPS))
     weights[TAPS == -1], weights[TAPS == 2] = 0.5, -0.1
-    late = lateness(weights)
+    late = lateness_of(weights)
     assert late == pytest.approx(0.7)
     shifted = np.interp(np.arange(400) - late, np.arange(400), slow)
-    np.testing.assert_allclose(restamped(slow, weights)[5:-5], shifted[5:-5], atol=3e-4)
+    np.testing.assert_allclose(restamped(slow, late)[5:-5], shifted[5:-5], atol=3e-4)
+    half_steps = np.sin(2.0 * np.pi * np.linspace(0.0, 1.0, 799))
+    np.testing.assert_allclose(restamped(half_steps, late, parts=2)[10:-10:2], shifted[5:-5], atol=3e-4)
     np.testing.assert_array_equal(neighbour(slow, 3)[:-3], slow[3:])

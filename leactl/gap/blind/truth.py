@@ -130,9 +130,9 @@ def oracle(case: Case, effects: Sequence[str]) -> tuple[Model, Model, list[Recor
     null.set_floors(evidence, null.measure(case.fitted, case.model, only=candidates))
     hypothesis = true_set(evidence, effects)
     calibrated = with_calibration(case.model, calibrated_parameters(evidence, evidence.settle([])))
-    stamps = evidence.stamping(evidence.settle(hypothesis))
+    lateness = evidence.lateness(evidence.settle(hypothesis))
     augmented = model_with(case.model, evidence, hypothesis)
-    return calibrated, augmented, [stamped(record, stamps) for record in case.held_out]
+    return calibrated, augmented, [stamped(record, lateness) for record in case.held_out]
 
 
 def true_set(evidence: Evidence, effects: Sequence[str]) -> list[Candidate]:

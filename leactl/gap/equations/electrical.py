@@ -9,7 +9,7 @@ from leactl.gap.equations.contract import STAMP_TOLERANCE, Equation
 from leactl.gap.signals.derived import moved_by_a_servo
 from leactl.gap.signals.noise import noise_of, quantum_of
 from leactl.gap.signals.record import Record
-from leactl.gap.signals.setpoints import BEND_SHARE, bend, rows_with_unknown_setpoints, settling_rows
+from leactl.gap.signals.setpoints import BEND_SHARE, bend, settling_rows, unknown_setpoints
 from leactl.gap.signals.smoothing import slope, smooth
 from leactl.gap.signals.stamps import BETWEEN_SAMPLES, TAPS, neighbour, stamp_columns
 from leactl.gap.signals.voltage_ceiling import at_ceiling
@@ -140,8 +140,7 @@ def current(record: Record, s: Signals) -> Equation | None:
             "setpoint_before": (previous_less_present, PREVIOUS_SETPOINT_SHARE),
             "setpoint_bend": (bends, BEND_SHARE),
         }
-        reference = clock.values["q_axis_current_reference", "test"]
-        mask &= ~rows_with_unknown_setpoints(reference, noise_of(measured), loop_time_constant, s.interval)
+        mask &= ~unknown_setpoints(clock, s.model)
     return Equation(
         "current",
         "q_axis_current",

@@ -165,7 +165,7 @@ def drive_torque(job: Job, magnet_share: Array) -> Array:
         torque_as_logged = torque_as_logged - (torque_constant or 1.0) * job.plant.current_offset
         return np.append(torque_as_logged[:1], np.repeat(torque_as_logged[1:], job.parts))
     stamped_current = restamped(
-        job.current, job.clock.stamping.get(BALANCE_EQUATIONS.get(job.record.mechanical, "")), job.parts
+        job.current, job.clock.lateness.get(BALANCE_EQUATIONS.get(job.record.mechanical, ""), 0.0), job.parts
     )
     torque = torque_constant * interpolate_steps(magnet_share, job.parts) * stamped_current
     for saturation_share in job.plant.torque_share:
@@ -178,7 +178,7 @@ def voltage_torque(job: Job) -> Array | None:
     feed = voltage_feed(job.record, job.plant.model)
     if feed is None:
         return None
-    return feed.gain * restamped(job.clock.values["q_axis_voltage", "test"], job.clock.stamping.get("axis_torque"))
+    return feed.gain * restamped(job.clock.values["q_axis_voltage", "test"], job.clock.lateness.get("axis_torque", 0.0))
 
 
 def logged_torque(job: Job) -> Array | None:

@@ -8,6 +8,7 @@ from leactl.gap.replay.job import Job
 from leactl.gap.replay.time_steps import MOST_DELAY, samples
 from leactl.gap.signals.derived import moved_by_a_servo, with_setpoint_lead
 from leactl.gap.signals.noise import noise_of, quantum_of
+from leactl.gap.signals.setpoints import unknown_setpoints
 from leactl.gap.signals.smoothing import smooth
 from leactl.gap.signals.stamps import restamped
 from leactl.gap.signals.voltage_ceiling import at_ceiling
@@ -37,8 +38,8 @@ def compute_current(job: Job) -> None:
         reading, mean = response_over_steps(reference, reference[0], bandwidth, job.step)
         for transform in plant.loop_answer:
             reading, mean = transform(reading, job.step), transform(mean, job.step)
-        stamp_weights = clock.stamping.get("current")
-        reading, mean = restamped(reading, stamp_weights, job.parts), restamped(mean, stamp_weights, job.parts)
+        lateness = clock.lateness.get("current", 0.0)
+        reading, mean = restamped(reading, lateness, job.parts), restamped(mean, lateness, job.parts)
         reading, mean = with_measured_current(job, reading, mean)
     else:
         measured_over_run = measured_over_steps(job, "test")
@@ -61,14 +62,14 @@ def speed_over_steps(job: Job) -> Array | None:
 
 
 def with_measured_current(job: Job, reading: Array, mean: Array) -> tuple[Array, Array]:
-    """Return the current [A], measured where the drive has no reference or is at its voltage ceiling.
+    """Return the current [A], measured where no known reference drives it or the drive is at its voltage ceiling.
 
     The samples at the ceiling are counted in the job.
 
     reading : current at the instants of the sub-steps.
     mean : current over each sub-step.
     """
-    unreferenced = job.clock.samples_without_reference("q_axis_current_reference")
+    unreferenced = undriven_samples(job)
     measured, is_at_ceiling = measured_over_steps(job, "test"), at_ceiling(job.clock, job.plant.model) & ~unreferenced
     if measured is None or not (is_at_ceiling | unreferenced).any():
         return reading, mean
@@ -78,6 +79,13 @@ def with_measured_current(job: Job, reading: Array, mean: Array) -> tuple[Array,
     use_over_steps = np.repeat(use_measured[1:], job.parts)
     use_at_instants = np.concatenate([use_over_steps[:1], use_over_steps])
     return np.where(use_at_instants, measured_at_instants, reading), np.where(use_over_steps, measured_means, mean)
+
+
+def undriven_samples(job: Job) -> npt.NDArray[np.bool_]:
+    """Return the samples whose current follows no known setpoint: without a reference, or after one between rows."""
+    return job.clock.samples_without_reference("q_axis_current_reference") | unknown_setpoints(
+        job.clock, job.plant.model
+    )
 
 
 def reference_between_samples(job: Job) -> Array:
@@ -102,7 +110,7 @@ def reference_between_samples(job: Job) -> Array:
                 (values_after_jump[:, None] + (reference[1:] - values_after_jump)[:, None] * elapsed_share).reshape(-1)
             )
     if ("q_axis_current", "test") in clock.unstamped:
-        return held_reference  # fitted weights of stamps of unknown meaning can represent a ramp
+        return held_reference  # the fitted delay of stamps of unknown meaning stands for a ramp's
     if len(candidates) == 1 or clock.get("q_axis_current") is None:
         return candidates[-1]
     return min(candidates, key=lambda candidate: misfit(job, candidate))

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from leactl.effects.plant import Array, Becomes, Course
-from leactl.gap.replay.drive import interpolate_steps, means_over_samples
+from leactl.gap.replay.drive import interpolate_steps, means_over_samples, undriven_samples
 from leactl.gap.replay.heat import resistance_share
 from leactl.gap.replay.job import Job
 from leactl.gap.replay.time_steps import FILTER_MEMORY, samples
@@ -31,9 +31,7 @@ def write_readings(job: Job) -> None:
         has_loop = job.plant.model.bench.current_loop_bandwidth is not None or job.plant.model.drive is not None
         current_reading = replayed_current(job) if has_loop else None
         if current_reading is not None:  # without a reference the measured current is an input
-            current_reading = np.where(
-                clock.samples_without_reference("q_axis_current_reference"), np.nan, current_reading
-            )
+            current_reading = np.where(undriven_samples(job), np.nan, current_reading)
         readings["q_axis_current"] = current_reading
     if job.velocity is not None:
         readings["velocity"] = replayed_velocity(job) if clock.get("velocity") is not None else derived_speed(job)
@@ -43,7 +41,7 @@ def write_readings(job: Job) -> None:
     readings["q_axis_voltage"] = drive_voltage
     for name, values in readings.items():
         if values is not None and (clock.get(name) is not None or name == "velocity"):
-            job.fast[name, "test"] = restamped(values, clock.stamping.get(STAMP_EQUATIONS.get(name, "")))
+            job.fast[name, "test"] = restamped(values, clock.lateness.get(STAMP_EQUATIONS.get(name, ""), 0.0))
     if (
         drive_voltage is not None
         and clock.get("bus_voltage", "bench") is not None

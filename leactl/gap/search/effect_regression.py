@@ -34,6 +34,7 @@ from leactl.gap.search.regression import (
 from leactl.gap.search.stamp_fit import overdue_equations, put_on_time, stamp_weights
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.scales import angle_bounds, form_scales, widest_angle_range, worth_knowing
+from leactl.gap.signals.stamps import lateness_of
 from leactl.model.nominal import Model
 
 Array = npt.NDArray[np.float64]
@@ -177,19 +178,22 @@ class Evidence:
     def compare_with(self, null: Null) -> None:
         """Set floors, lines and held parameters from the null of these runs, then the usual weights."""
         self.null, self.lines = null, null.lines
-        self.by_form = {effect: self.floors_of(effect, sizes) for effect, sizes in null.floors.items()}
+        self.by_form = {
+            effect: self.floors_of(effect, sizes, null.common_sizes.get(effect, ()))
+            for effect, sizes in null.floors.items()
+        }
         self.held_parameters, self.unidentifiable = null.held_parameters, null.unidentifiable
         self.priors.update(dict.fromkeys(self.held_parameters, PINNED_PRIOR))
         self.stack = stack(self._rows(), self.priors)
         self.weigh_as_usual()
 
-    def floors_of(self, effect: str, sizes: Sequence[float]) -> list[float]:
+    def floors_of(self, effect: str, sizes: Sequence[float], common_sizes: Sequence[float] = ()) -> list[float]:
         """Return the floors of an effect by form: the sizes, raised to those that sound machines have in common.
 
         A form that some sound machine does not show gets the floor of the nearest form that all of them show.
         """
         assert self.null is not None
-        forms, common_sizes = self.forms.get(effect, ()), self.null.common_sizes.get(effect) or [0.0] * len(sizes)
+        forms, common_sizes = self.forms.get(effect, ()), common_sizes or [0.0] * len(sizes)
         # a periodic effect has one floor for all orders
         if len(forms) != len(sizes) or len(common_sizes) != len(sizes):
             return list(sizes)
@@ -326,9 +330,9 @@ class Evidence:
             figures.setdefault((rows.equation, rows.kind), []).append(figure_of(rows))
         return {key: float(np.mean(values)) for key, values in figures.items()}
 
-    def stamping(self, fit: Fit) -> dict[str, Array]:
-        """Return the fitted weights of neighbouring samples, by equation with stamps of unknown meaning."""
-        return {equation: weights for equation, (weights, _) in stamp_weights(self.stack, fit).items()}
+    def lateness(self, fit: Fit) -> dict[str, float]:
+        """Return by how many samples one side is later than the other, by equation with stamps of unknown meaning."""
+        return {equation: lateness_of(weights) for equation, (weights, _) in stamp_weights(self.stack, fit).items()}
 
     def settle(self, hypothesis: Sequence[Candidate], rounds: int = 2) -> Fit:
         """Return the fit of a hypothesis, with the noise estimated from its residuals; the rows keep that noise.

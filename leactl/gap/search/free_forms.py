@@ -29,18 +29,23 @@ OUTDOING_RATIO = 2.0
 def outdoes_free_forms(normal: Normal, hypothesis: Sequence[Candidate], candidate: Candidate) -> bool:
     """Return whether a candidate explains more than the free forms of a set by `OUTDOING_RATIO`, each beside the other.
 
-    What either explains is the rise in misfit when it is removed from the fit with both. Free forms count at least as
-    much as noise lets so many coefficients explain. True also for a set without a free form.
+    What either explains is the rise in misfit when it is removed from the fit with both; of the free forms, in the rows
+    that hold a column of the candidate: it does not compensate for a law's error anywhere else. Free forms count at
+    least as much as noise lets so many coefficients explain. True also for a set without a free form.
     """
     if not hypothesis:
         return True
     set_and_candidate = [*hypothesis, candidate]
     # the parts of the members are those fitted beside the candidate, since only the whole set may be right
     free_normal, count = with_free_forms(normal, set_and_candidate, hypothesis)
-    misfit_of_both = free_normal.fit(set_and_candidate).misfit
-    explained_by_candidate, explained_by_forms = (
-        free_normal.fit(hypothesis).misfit - misfit_of_both,
-        normal.fit(set_and_candidate).misfit - misfit_of_both,
+    fit_of_both, fit_without_forms = (equations.fit(set_and_candidate) for equations in (free_normal, normal))
+    explained_by_candidate = free_normal.fit(hypothesis).misfit - fit_of_both.misfit
+    explained_by_forms = sum(
+        normal.weights[index]
+        * len(rows.left_over)
+        * (normal.residual_rms(fit_without_forms, index) ** 2 - free_normal.residual_rms(fit_of_both, index) ** 2)
+        for index, rows in enumerate(normal.stack.rows)
+        if any(name[:3] == ("effect", candidate[0], repr(candidate[1])) for name in rows.columns)
     )
     return count == 0 or explained_by_candidate > OUTDOING_RATIO * max(explained_by_forms, float(count))
 

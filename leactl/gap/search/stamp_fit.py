@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.gap.search.regression import Candidate, Fit, Rows, Stack
-from leactl.gap.signals.stamps import BETWEEN_SAMPLES, TAPS, lateness, tap_name
+from leactl.gap.signals.stamps import BETWEEN_SAMPLES, TAPS, lateness_of, tap_name
 
 Array = npt.NDArray[np.float64]
 # samples by which the sides of an equation may differ, early or late: by the stamps of each of two channels, by an
@@ -52,7 +52,7 @@ def overdue_equations(stack: Stack, fit: Fit) -> tuple[str, ...]:
     return tuple(
         equation
         for equation, (weights, covariance) in stamp_weights(stack, fit).items()
-        if abs(lateness(weights)) - LEAST_OVERDUE_STDS * float(np.sqrt(TAPS @ covariance @ TAPS)) > MOST_STAMP_DELAY
+        if abs(lateness_of(weights)) - LEAST_OVERDUE_STDS * float(np.sqrt(TAPS @ covariance @ TAPS)) > MOST_STAMP_DELAY
     )
 
 

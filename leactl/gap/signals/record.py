@@ -46,7 +46,7 @@ class Clocked:
     valid: dict[Key, Mask] = field(default_factory=dict)
     means: set[Key] = field(default_factory=set)  # channels that are means over the interval that ends at the stamp
     unstamped: set[Key] = field(default_factory=set)  # channels of which the file does not say what a stamp means
-    stamping: dict[str, Array] = field(default_factory=dict)  # by equation: weights of neighbouring samples
+    lateness: dict[str, float] = field(default_factory=dict)  # by equation: samples by which a replay is stamped late
     setpoints_between: bool = False  # whether setpoints change between the stamps, so that an interval has several
     setpoints_held: bool = False  # whether a run of the log shows that setpoints hold over an interval
     units: dict[Key, str] = field(default_factory=dict)

@@ -19,7 +19,8 @@ from scipy.optimize import minimize_scalar
 
 from leactl.effects.hysteresis_and_lags import ramp_shares, rate_limited
 from leactl.gap.signals.derived import loop_response, moved_by_a_servo, with_setpoint_lead
-from leactl.gap.signals.record import Record
+from leactl.gap.signals.noise import noise_of
+from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.signals.stamps import TAPS, neighbour
 from leactl.gap.signals.voltage_ceiling import at_ceiling
 from leactl.model.nominal import Model
@@ -255,6 +256,22 @@ def isolated_values(values: Array) -> Mask:
 def bend(values: Array) -> Array:
     """Return, for the interval before each row, the outer two of the four rows around it less the inner two."""
     return neighbour(values, 1) + neighbour(values, -2) - values - neighbour(values, -1)
+
+
+def unknown_setpoints(clock: Clocked, model: Model) -> Mask:
+    """Return the samples of a log with setpoints between its rows whose current an unrecorded setpoint may have moved.
+
+    Elsewhere, and where a servo inside the drive moves the reference, there is none.
+    """
+    bandwidth = model.bench.current_loop_bandwidth
+    if not clock.setpoints_between or not bandwidth or not {CURRENT, REFERENCE} <= clock.values.keys():
+        return np.zeros(len(clock.time), bool)
+    if moved_by_a_servo(clock):
+        return np.zeros(len(clock.time), bool)
+    time_constant = 1.0 / (2.0 * math.pi * bandwidth)
+    return rows_with_unknown_setpoints(
+        clock.values[REFERENCE], noise_of(clock.values[CURRENT]), time_constant, clock.interval
+    )
 
 
 def rows_with_unknown_setpoints(reference: Array, noise: float, time_constant: float, interval: float) -> Mask:

@@ -40,37 +40,35 @@ def neighbour(values: Array, shift: float) -> Array:
     return np.asarray(np.interp(samples + shift, samples, values), np.float64)
 
 
-def restamped(values: Array, weights: Array | None, parts: int = 1) -> Array:
-    """Return values as a log stamps them, given the weights of neighbouring samples; `parts` values make a sample."""
-    if weights is None:
-        return values
-    corrections = (
-        weight * (neighbour(values, shift * parts) - values)
-        for shift, weight in zip(TAPS.tolist(), weights, strict=True)
-    )
-    return np.asarray(values + sum(corrections), np.float64)
+def restamped(values: Array, lateness: float, parts: int = 1) -> Array:
+    """Return values as a log stamps them that is late by some samples; `parts` values make a sample.
+
+    The fitted weights of neighbouring samples hold more than a delay. They are fitted to smoothed channels, which do
+    not determine what the weights do to quick changes: applied to an unsmoothed replay, they would magnify these.
+    """
+    return neighbour(values, -lateness * parts) if lateness else values
 
 
-def lateness(weights: Array) -> float:
+def lateness_of(weights: Array) -> float:
     """Return the samples by which one side of an equation is later than the other."""
     return -float(TAPS @ weights)
 
 
-def stamped(record: Record, weights: Mapping[str, Array]) -> Record:
-    """Return a run whose replay is stamped with these weights, by equation; the same run if its stamps are known."""
+def stamped(record: Record, lateness: Mapping[str, float]) -> Record:
+    """Return a run whose replay is late by some samples, by equation; the same run if its stamps are known."""
     if record.fast is None or not record.fast.unstamped:
         return record
-    return replace(record, fast=replace(record.fast, stamping=dict(weights)))
+    return replace(record, fast=replace(record.fast, lateness=dict(lateness)))
 
 
-def stamp_notes(weights: Mapping[str, Array], overdue: Sequence[str], latest: float) -> tuple[str, ...]:
+def stamp_notes(lateness: Mapping[str, float], overdue: Sequence[str], latest: float) -> tuple[str, ...]:
     """Return notes on the delay between the sides of each equation in samples; none where stamps are known.
 
     overdue : equations whose delay exceeds `latest`, the most samples that stamps alone explain.
     """
-    if not weights:
+    if not lateness:
         return ()
-    lateness_text = ", ".join(f"{name} {lateness(taps):+.2f}" for name, taps in weights.items() if name not in overdue)
+    lateness_text = ", ".join(f"{name} {samples:+.2f}" for name, samples in lateness.items() if name not in overdue)
     lateness_clause = f"; samples by which one side of an equation is late: {lateness_text}" if lateness_text else ""
     excuse = f"up to {latest:g} samples of its delay may be theirs all the same"
     return (
