@@ -41,6 +41,20 @@ def test_a_free_rotor_decays_to_standstill_and_stays():
     assert np.max(np.abs(turning[100:])) < 1e-9
 
 
+def test_friction_that_builds_up_after_a_swift_reversal_takes_less_of_the_motion():
+    """Over the angle in which it builds up exponentially from one level to the other, friction is missing twice."""
+    displacement = 0.02
+    run = record("free", reference=6.0, start_speed=-20.0, seconds=0.1)
+    energies = []
+    for effects in ((), (("presliding", {"displacement": displacement}),)):
+        job = replay(run, model(*effects, viscous_damping=0.0))
+        reversal = int(np.argmax(job.velocity > 0.0))
+        turned = job.angle[reversal:] - job.angle[reversal]
+        speed = float(np.interp(1.0, turned, job.velocity[reversal:]))  # rad after the reversal
+        energies.append(0.5 * INERTIA * speed**2)
+    assert energies[1] - energies[0] == pytest.approx(2.0 * FRICTION * displacement, rel=0.15)
+
+
 def test_a_current_settles_at_the_speed_that_friction_allows():
     reference = 2.0
     job = replay(record("free", reference=reference, start_speed=30.0), model())

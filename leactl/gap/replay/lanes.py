@@ -15,7 +15,7 @@ import numpy.typing as npt
 from leactl.effects.plant import Moment, Plant
 
 Array = npt.NDArray[np.float64]
-BRISTLE_DAMPING = 0.2  # of critical, while bristles bend: without it a sticking rotor would ring for ever
+BRISTLE_DAMPING = 0.2  # of critical, while bristles bend slowly: without it a sticking rotor would ring for ever
 SHAFT_DAMPING = 0.03  # of critical, as steel shafts with clamped couplings have
 MOST_HALF_PHASE = 1.0  # rad, largest half phase of a shaft's resonance in a step; a stiffer shaft is practically rigid
 
@@ -265,6 +265,12 @@ class _Bristles:
         reach = np.maximum(reach, 0.5 * lanes.step * gain * lanes.friction)
         self.bend_per_speed = lanes.step / reach
         self.damping = 2.0 * BRISTLE_DAMPING * gain * np.sqrt(lanes.friction / reach * lanes.inertia)
+        # s/rad, inverse of the speed that bent bristles give a rotor. Above it their damping fades: in a swift reversal
+        # it would take the place of the friction that has not built up.
+        self.fading = np.zeros(len(gain))
+        np.divide(lanes.inertia, lanes.friction * reach, out=self.fading, where=lanes.friction > 0.0)
+        np.sqrt(self.fading, out=self.fading)
+        self._faded = np.empty(len(gain))
 
     def step(self, level: Array, frictionless_velocity: Array, bristle: Array, velocity: Array) -> None:
         """Compute the velocity under friction from the frictionless one, and bend the bristles; all arrays in place.
@@ -277,6 +283,10 @@ class _Bristles:
         np.abs(bristle, out=velocity)
         np.subtract(1.0, velocity, out=velocity)
         velocity *= self.damping
+        np.multiply(frictionless_velocity, self.fading, out=self._faded)
+        self._faded *= self._faded
+        self._faded += 1.0
+        velocity /= self._faded
         velocity += 1.0
         frictionless_velocity -= level * bristle
         np.divide(frictionless_velocity, velocity, out=velocity)
