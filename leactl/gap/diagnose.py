@@ -11,6 +11,7 @@ from leactl.effects import library
 from leactl.errors import InputError
 from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, EffectParameter
 from leactl.gap.null import measure, set_floors, with_simulator_runs, without_imitated_members
+from leactl.gap.open_forms import across_open_form, nearest_to_runs
 from leactl.gap.planning.separating import separating_experiment
 from leactl.gap.replay.long_runs import read_records
 from leactl.gap.search import effect_sets
@@ -66,6 +67,7 @@ COURSE_POINTS = 64  # points of a voltage course
 SAME_COURSE_COSINE = 0.95  # cosine of two voltage courses above which they are the same; a ramp and a step have 0.87
 FURTHER_STEPS = 2  # Gauss-Newton steps after the first: most effects multiply parameters that are calibrated
 Progress = Callable[[str], None]
+ParametersOfSet = tuple[dict[str, tuple[EffectParameter, ...]], tuple[CalibratedParameter, ...]]
 Channel = tuple[str, str, str]  # equation, quantity and set-up; of a compared channel quantity, role and set-up
 
 
@@ -417,9 +419,7 @@ def separate_classes(
 
 def model_with(model: Model, evidence: Evidence, hypothesis: Sequence[Candidate]) -> Model:
     """Return the model with the effects of a set and its calibration, both fitted to the runs of `evidence`."""
-    parameters, calibration = fit_with_further_steps(evidence, hypothesis)
-    effects = [(effect, {item.name: item.value for item in values}) for effect, values in parameters.items()]
-    return with_effects(with_calibration(model, calibration), effects)
+    return model_of_fit(model, *fit_with_further_steps(evidence, hypothesis))
 
 
 def weighed_by_sound_noise(evidence: Evidence, effect_set: EffectSet) -> EffectSet:
@@ -521,14 +521,28 @@ def refit_causes(evidence: Evidence, effect_set: EffectSet, causes: Sequence[Cau
     )
 
 
-def fit_with_further_steps(
-    evidence: Evidence, hypothesis: Sequence[Candidate]
-) -> tuple[dict[str, tuple[EffectParameter, ...]], tuple[CalibratedParameter, ...]]:
+def fit_with_further_steps(evidence: Evidence, hypothesis: Sequence[Candidate]) -> ParametersOfSet:
+    """Return the parameters of each effect by name, and the calibration, after `FURTHER_STEPS` Gauss-Newton steps.
+
+    Where the equations leave a form open, replays of the fitted runs choose it.
+    """
+    fits = [fit_in_steps(evidence, hypothesis, refines_forms=True)]
+    if moved_hypotheses := across_open_form(evidence, hypothesis):
+        fits += [fit_in_steps(evidence, moved, refines_forms=False) for moved in moved_hypotheses]
+        models = [model_of_fit(evidence.model, *fit) for fit in fits]
+        return fits[nearest_to_runs(evidence, hypothesis, models)]
+    return fits[0]
+
+
+def fit_in_steps(evidence: Evidence, hypothesis: Sequence[Candidate], refines_forms: bool) -> ParametersOfSet:
     """Return the parameters of each effect by name, and the calibration, after `FURTHER_STEPS` Gauss-Newton steps.
 
     Each step rebuilds the columns from the calibrated parameters. With a camera that reads two thirds of a rise, heat
     flows are 4 % off after the first fit; with an inertia 15 % off, so is an eccentricity.
+
+    refines_forms : whether each step searches better forms nearby.
     """
+    evidence.add(hypothesis)
     fit = evidence.settle(hypothesis)
     parameters = calibrated_parameters(evidence, fit)
     nominal = {item.parameter: item.nominal for item in parameters}
@@ -537,13 +551,24 @@ def fit_with_further_steps(
         # the ambient's offset stays at the model's value: its prior is in kelvin around that
         relative_parameters = [item for item in parameters if item.parameter != "ambient_offset"]
         evidence = evidence.on(evidence.records, hypothesis, with_calibration(evidence.model, relative_parameters))
-        evidence.settle(hypothesis)  # forms are compared under the noise of this fit
-        hypothesis = effect_sets.refine(evidence, hypothesis, shapes=False)
+        if refines_forms:
+            evidence.settle(hypothesis)  # forms are compared under the noise of this fit
+            hypothesis = effect_sets.refine(evidence, hypothesis, shapes=False)
         fit = evidence.settle(hypothesis)
         parameters = tuple(
             replace(item, nominal=nominal[item.parameter]) for item in calibrated_parameters(evidence, fit)
         )
     return {candidate[0]: effect_parameters(evidence, fit, candidate) for candidate in hypothesis}, parameters
+
+
+def model_of_fit(
+    model: Model,
+    parameters: Mapping[str, Sequence[EffectParameter]],
+    calibration: Sequence[CalibratedParameter],
+) -> Model:
+    """Return the model with fitted effects, each with its parameters by name, and their calibration."""
+    effects = [(effect, {item.name: item.value for item in values}) for effect, values in parameters.items()]
+    return with_effects(with_calibration(model, calibration), effects)
 
 
 def with_servo_calibration(calibration: tuple[CalibratedParameter, ...], causes: Sequence[Cause]) -> FittedEffects:
