@@ -258,17 +258,18 @@ class _Bristles:
     """Friction of the test rotors as bristles that bend and then slide (Dahl)."""
 
     def __init__(self, lanes: Lanes, gain: Array) -> None:
-        reach = np.empty(len(gain))
+        reach, is_presliding = np.empty(len(gain)), np.zeros(len(gain), bool)
         for plant, lanes_of_plant in lanes.plants:
             reach[lanes_of_plant] = plant.bristle or plant.give
+            is_presliding[lanes_of_plant] = plant.bristle > 0.0
         # bristles stiffer than a step resolves would drive the rotor back and forth
         reach = np.maximum(reach, 0.5 * lanes.step * gain * lanes.friction)
         self.bend_per_speed = lanes.step / reach
         self.damping = 2.0 * BRISTLE_DAMPING * gain * np.sqrt(lanes.friction / reach * lanes.inertia)
-        # s/rad, inverse of the speed that bent bristles give a rotor. Above it their damping fades: in a swift reversal
-        # it would take the place of the friction that has not built up.
+        # s/rad, inverse of the speed that bent bristles give a rotor. Above it the damping of presliding fades: in a
+        # swift reversal it would take the place of the friction that has not built up.
         self.fading = np.zeros(len(gain))
-        np.divide(lanes.inertia, lanes.friction * reach, out=self.fading, where=lanes.friction > 0.0)
+        np.divide(lanes.inertia, lanes.friction * reach, out=self.fading, where=is_presliding & (lanes.friction > 0.0))
         np.sqrt(self.fading, out=self.fading)
         self._faded = np.empty(len(gain))
 
