@@ -285,7 +285,10 @@ class JointEffects:
         bristle = self._end_state["bristle"] = (self._end_state["bristle"] + bristle_change) / (
             1.0 + abs(bristle_change)
         )
-        damping = 0.4 * math.sqrt(sliding_friction / reach * inertia)  # a fifth of critical, while it bends
+        # a fifth of critical, fading above the speed that bent bristles give the joint
+        damping = 0.4 * math.sqrt(sliding_friction / reach * inertia)
+        if sliding_friction > 0.0:
+            damping /= 1.0 + speed**2 * inertia / (sliding_friction * reach)
         return float(sliding_friction * bristle + damping * (1.0 - abs(bristle)) * speed)
 
 
