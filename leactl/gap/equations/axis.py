@@ -112,7 +112,8 @@ def fed_motor_width(clock: Clocked, s: Signals, inertia: float) -> float:
 def drive_torque(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]] | None:
     """Return the torque of the drive, its parameters' columns and the places of effects on it; None without a drive.
 
-    The gain of a logged force is not fitted: runs tell only its ratio to mass and friction.
+    The gain of a logged force is not fitted: runs tell only its ratio to mass and friction. That of a current's
+    reference is, where the model has a weight.
     """
     model = s.model
     if "fed" in s.extra:
@@ -122,9 +123,10 @@ def drive_torque(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]]
         if logged_torque is None:
             return None
         torque_per_reading = model.torque_constant or 1.0  # a logged force counts as a current
+        has_weight = model.load.type != "none"  # without one the gain is not identifiable
         return (
             logged_torque,
-            {},
+            {"torque_constant": -logged_torque} if has_weight and "by_constant" in s.extra else {},
             {"torque_factor": lambda c: -logged_torque * c, "current_reading": lambda c: torque_per_reading * c},
         )
     constant = model.torque_constant

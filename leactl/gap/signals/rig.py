@@ -92,6 +92,8 @@ def add_rig_signals(record: Record, s: Signals) -> None:
         s.extra["told"] = torque
         if clock.get("torque") is None or clock.get("torque_reference") is not None:
             s.extra["commanded"] = torque  # not a sensor's reading
+        if clock.get("torque") is None and clock.get("torque_reference") is None:
+            s.extra["by_constant"] = torque  # the model's torque constant times the current's reference
     if model.load.type != "none" and s.current is not None and model.torque_constant is not None:
         # a gear's friction grows with the motor's torque; a released pendulum has bearing friction alone
         s.torque = model.torque_constant * s.current
