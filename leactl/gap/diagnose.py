@@ -55,7 +55,7 @@ from leactl.gap.verdict.separation import RuledOut, nearest_of_classes, without_
 from leactl.gap.verdict.shrinkage import SquaresRatio, shrinkage, simulate_again, squares_ratio
 from leactl.gap.verdict.unknown import describe, nearest_effects
 from leactl.gap.verdict.where import profiles, where
-from leactl.gap.verdict.withdrawal import Applied, FittedEffects, Refit, apply, names_at_bound
+from leactl.gap.verdict.withdrawal import Applied, FittedEffects, Refit, apply
 from leactl.model.nominal import BenchModel, Model, read_model
 from leactl.vocabulary.effect import effect_definition
 
@@ -328,10 +328,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         strongest_sign = max(
             strongest_sign, unexplained_in_channels(unrest(unrest_by_run), lines), key=lambda sign: sign.probability
         )
-    if (
-        not (applied_forms or servo_runs or names_at_bound(calibrated_alone))
-        and strongest_sign.probability < UNKNOWN_PROBABILITY
-    ):
+    if not (applied_forms or servo_runs) and strongest_sign.probability < UNKNOWN_PROBABILITY:
         signs_in_runs = (
             unexplained_in_a_run(unrest_by_run),
             unexplained_in_held_out(evidence, applied_forms, case.held_out),

@@ -126,6 +126,25 @@ def test_a_force_on_a_carriage_gives_mass_and_friction(tmp_path, interval, quant
     assert 40.0 * found["effect", "current_sensor_offset", "()", "offset"] == pytest.approx(-3.0, abs=0.1)
 
 
+@pytest.mark.parametrize(("quantity", "is_fitted"), [("q_axis_current_reference", True), ("torque_reference", False)])
+def test_a_known_weight_gives_the_torque_constant_of_a_commanded_current(tmp_path, quantity, is_fitted):
+    """A gain that is not fitted would be named as a spring or as a gravity that the model lacks."""
+    time = 0.0025 * np.arange(8000)
+    angle = 0.9 * np.sin(2.0 * time) + 0.3 * np.sin(5.0 * time)
+    speed = 1.8 * np.cos(2.0 * time) + 1.5 * np.cos(5.0 * time)
+    acceleration = -3.6 * np.sin(2.0 * time) - 7.5 * np.sin(5.0 * time)
+    model = servo_model(drive=None, torque_constant=1.1, rotor_inertia=0.035, viscous_damping=0.06)
+    weight = 0.5 * 9.81 * 0.1
+    torque = (0.035 + model.load.inertia) * acceleration + 0.06 * speed + 0.01 * np.sign(speed) + weight * np.sin(angle)
+    true_constant = 1.0
+    parts = [channel(time, "angle", angle, "rad"), channel(time, quantity, torque / true_constant, "A")]
+    (rows,) = rows_of([recorded(tmp_path, parts)], model, [])
+    assert (("calibration", "torque_constant") in rows.columns) is is_fitted
+    if is_fitted:
+        _, _, found = fitted([rows], [], NO_PRIORS)
+        assert 1.1 * (1.0 + found["calibration", "torque_constant"]) == pytest.approx(true_constant, rel=0.01)
+
+
 def test_a_rotor_that_creeps_from_hold_to_hold_shows_cogging(tmp_path):
     """Holds of five samples every quarter of a second, an encoder of 20,000 counts, overshoot by a few of them."""
     rng = np.random.default_rng(5)
