@@ -33,7 +33,7 @@ ARRIVAL_SHARE = 0.1  # share of a leap; an axis this close to its reference has 
 STAMP_ERROR_FACTOR = 2.0  # mean square error that a replay may have, in multiples of the error hidden by stamps
 # parameters of a motor whose errors are small beside their values, as friction's are not
 DATA_SHEET_PARAMETERS = ("torque_constant", "phase_resistance", "rotor_inertia")
-MOST_PRIOR_WIDTHS = 8.0  # widths of its prior by which a calibrated parameter may differ from the model's
+MOST_PRIOR_WIDTHS = 5.0  # widths of its prior by which a calibrated parameter may differ from the model's
 CONFIRMED_ERROR_RATIO = 0.95  # mean square error with an effect over that without, below which free runs confirm it
 
 
