@@ -524,8 +524,9 @@ def fit_with_further_steps(evidence: Evidence, hypothesis: Sequence[Candidate]) 
     Where the equations leave a form open, replays of the fitted runs choose it.
     """
     fits = [fit_in_steps(evidence, hypothesis, refines_forms=True)]
-    if moved_hypotheses := across_open_form(evidence, hypothesis):
-        fits += [fit_in_steps(evidence, moved, refines_forms=False) for moved in moved_hypotheses]
+    if variants := across_open_form(evidence, hypothesis):
+        # refining would bring each moved form back to the best one
+        fits += [fit_in_steps(evidence, variant, refines_forms=False) for variant in variants]
         models = [model_of_fit(evidence.model, *fit) for fit in fits]
         return fits[nearest_to_runs(evidence, hypothesis, models)]
     return fits[0]

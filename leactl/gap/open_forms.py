@@ -26,27 +26,30 @@ MOST_FORM_STD = 0.5  # largest such standard deviation by which forms are moved
 
 
 def across_open_form(evidence: Evidence, hypothesis: Sequence[Candidate]) -> list[list[Candidate]]:
-    """Return a set with the form of one member moved along its least certain direction; empty if no form is open.
+    """Return variants of a set, in each of which its least certain form is moved; empty if no form is open.
 
-    The member is the one whose form is the least certain. A form whose spread is infinite is not moved: no run shows
-    it.
+    The form moves along the direction in which it is the least certain, by the `FORM_STDS`. `evidence` notes the spread
+    of the form for the moved ones too, which are as uncertain. A form whose spread is infinite is not moved: no run
+    shows it.
     """
-    widest, moved_index, direction = LEAST_OPEN_STD, -1, np.zeros(0)
+    largest_std, least_certain, direction = LEAST_OPEN_STD, None, np.zeros(0)
     for index, candidate in enumerate(hypothesis):
         covariance = evidence.form_spread.get(candidate)
         if covariance is None or not np.isfinite(covariance).all():
             continue
-        variances, directions = np.linalg.eigh(covariance)
-        if variances[-1] > widest**2:
-            widest, moved_index, direction = math.sqrt(variances[-1]), index, directions[:, -1]
-    if moved_index < 0:
+        variances, directions = np.linalg.eigh(covariance)  # ascending
+        if variances[-1] > largest_std**2:
+            largest_std, least_certain, direction = math.sqrt(variances[-1]), index, directions[:, -1]
+    if least_certain is None:
         return []
-    name, form = hypothesis[moved_index]
-    shifts = [stds * min(widest, MOST_FORM_STD) * direction for stds in FORM_STDS]
-    forms = [(*(np.asarray(form[: len(shift)]) * np.exp(shift)).tolist(), *form[len(shift) :]) for shift in shifts]
-    for moved in forms:  # as uncertain as the best form
-        evidence.form_spread[name, moved] = evidence.form_spread[name, form]
-    return [[*hypothesis[:moved_index], (name, moved), *hypothesis[moved_index + 1 :]] for moved in forms]
+    name, form = hypothesis[least_certain]
+    variants = []
+    for stds in FORM_STDS:
+        factors = np.exp(stds * min(largest_std, MOST_FORM_STD) * direction)
+        moved_form = (*(np.asarray(form[: len(factors)]) * factors).tolist(), *form[len(factors) :])
+        evidence.form_spread[name, moved_form] = evidence.form_spread[name, form]
+        variants.append([*hypothesis[:least_certain], (name, moved_form), *hypothesis[least_certain + 1 :]])
+    return variants
 
 
 def nearest_to_runs(evidence: Evidence, hypothesis: Sequence[Candidate], models: Sequence[Model]) -> int:

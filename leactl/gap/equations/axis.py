@@ -126,7 +126,7 @@ def drive_torque(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]]
         has_weight = model.load.type != "none"  # without one the gain is not identifiable
         return (
             logged_torque,
-            {"torque_constant": -logged_torque} if has_weight and "by_constant" in s.extra else {},
+            {"torque_constant": -logged_torque} if has_weight and "torque_of_current_reference" in s.extra else {},
             {"torque_factor": lambda c: -logged_torque * c, "current_reading": lambda c: torque_per_reading * c},
         )
     constant = model.torque_constant

@@ -90,10 +90,11 @@ def add_rig_signals(record: Record, s: Signals) -> None:
             s.torque = s.extra["fed"] + s.extra["fed_emf"]
     elif s.current is None and (torque := logged_torque(clock, model)) is not None:
         s.extra["told"] = torque
-        if clock.get("torque") is None or clock.get("torque_reference") is not None:
+        logs_torque, logs_torque_reference = (clock.get(name) is not None for name in ("torque", "torque_reference"))
+        if logs_torque_reference or not logs_torque:
             s.extra["commanded"] = torque  # not a sensor's reading
-        if clock.get("torque") is None and clock.get("torque_reference") is None:
-            s.extra["by_constant"] = torque  # the model's torque constant times the current's reference
+        if not (logs_torque_reference or logs_torque):
+            s.extra["torque_of_current_reference"] = torque  # by the model's torque constant
     if model.load.type != "none" and s.current is not None and model.torque_constant is not None:
         # a gear's friction grows with the motor's torque; a released pendulum has bearing friction alone
         s.torque = model.torque_constant * s.current
