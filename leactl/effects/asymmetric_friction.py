@@ -16,10 +16,10 @@ class AsymmetricFriction(Effect):
     relative_to = ("coulomb_friction",)
 
     def terms(self, signals: Signals, form: Form) -> Terms:
-        """Return a constant drag while the shaft turns."""
+        """Return a constant drag: f (sgn w + a), reversals included; rows of a resting shaft are not read."""
         if signals.sliding is None or signals.model.coulomb_friction is None or signals.mechanical == "locked":
             return {}
-        return {"drag": {"asymmetry": signals.model.coulomb_friction * np.abs(signals.sliding)}}
+        return {"drag": {"asymmetry": np.full_like(signals.sliding, signals.model.coulomb_friction)}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return the asymmetry: half the difference of forward and backward friction, over their mean."""

@@ -51,6 +51,7 @@ from leactl.gap.verdict.judge import (
 )
 from leactl.gap.verdict.notes import condition_notes, null_notes, questions, reading_notes
 from leactl.gap.verdict.picture import draw_pictures, draw_pictures_of_replays
+from leactl.gap.verdict.replay_gap import unexplained_in_replays
 from leactl.gap.verdict.separation import RuledOut, nearest_of_classes, without_ruled_out
 from leactl.gap.verdict.shrinkage import SquaresRatio, shrinkage, simulate_again, squares_ratio
 from leactl.gap.verdict.unknown import describe, nearest_effects
@@ -332,6 +333,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         signs_in_runs = (
             unexplained_in_a_run(unrest_by_run),
             unexplained_in_held_out(evidence, applied_forms, case.held_out),
+            unexplained_in_replays(shrunk.shrinkage, replayed, applied.augmented, unrest(unrest_by_run)),
         )
         strongest_sign = max(strongest_sign, *signs_in_runs, key=lambda sign: sign.probability)
     alternatives = [rival.candidate for judgement in judgements for rival, _ in judgement.rivals]

@@ -20,12 +20,12 @@ RANDOM = np.random.default_rng(0)
 SEED, CASES = 703, 12  # drawn once, never used to choose a threshold
 
 
-def finding(effect):
-    return FurtherEffect((effect, ()), 1e5, 20.0, 1.0, (20.0,), ("size",), np.eye(1), 0.0)
+def finding(effect, gain=1e5):
+    return FurtherEffect((effect, ()), gain, 20.0, 1.0, (20.0,), ("size",), np.eye(1), 0.0)
 
 
 def member(first, *peers):
-    rivals = tuple((finding(effect), 0.3) for effect in peers)
+    rivals = tuple((finding(effect, 0.999e5 - index), 0.3) for index, effect in enumerate(peers))
     return Judged(finding(first), 1.0, 0.99, rivals, peers)
 
 
@@ -88,6 +88,14 @@ def test_a_replay_that_stands_far_off_rules_nothing_out(times):
     for farthest, decided in ((5.9, True), (6.1, False)):
         compare = by_squares({LATE[0]: 1.0, LATE[1]: times}, 1.02, farthest)
         assert bool(nearest_of_classes([lag.finding.candidate], [lag], compare)[1]) is decided
+
+
+def test_a_replay_does_not_decide_between_two_effects_that_are_one_law_in_every_row():
+    """A friction by direction and an offset of the current differ only where the shaft begins to move."""
+    first, second = finding("asymmetric_friction"), finding("current_sensor_offset")
+    judgement = Judged(first, 1.0, 0.99, ((second, 0.3),), (second.effect,))
+    compare = by_squares({first.effect: 1.0, second.effect: 1.7})
+    assert nearest_of_classes([first.candidate], [judgement], compare) == ([first.candidate], [])
 
 
 def test_what_no_run_compares_rules_nothing_out():

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from leactl.gap.diagnosis import MOST_REPLAY_MISS
+from leactl.gap.search.effect_sets import TIE_SHARE, FurtherEffect
 from leactl.gap.search.regression import Candidate
 from leactl.gap.verdict.judge import Judged
 from leactl.gap.verdict.shrinkage import SquaresRatio
@@ -35,25 +36,40 @@ def nearest_of_classes(
     """Return the set with the effect of each class that fits held-out runs best in replays, and the effects ruled out.
 
     Equations judge each instant separately and leave out rows that they cannot resolve; a replay has to follow the
-    whole course. Neither of two effects is ruled out where the difference is unclear, or where even the better replay
-    misses a channel by more than `MOST_REPLAY_MISS` floors: another error there may favour either effect.
+    whole course. Neither of two effects is ruled out where the difference is unclear, where even the better replay
+    misses a channel by more than `MOST_REPLAY_MISS` floors, since another error there may favour either effect, or
+    where both are one law in every row.
     """
     nearest_set, ruled_out = list(hypothesis), list[RuledOut]()
     for judgement in judgements:
-        member = judgement.finding.candidate
+        member = judgement.finding
         for rival, _ in judgement.rivals:
             if rival.effect not in judgement.peers or rival.effect in {effect for effect, _ in nearest_set}:
                 continue
-            with_rival = [rival.candidate if candidate == member else candidate for candidate in nearest_set]
+            if is_one_law(member, rival):
+                continue
+            with_rival = [
+                rival.candidate if candidate == member.candidate else candidate for candidate in nearest_set
+            ]
             squared_ratio = compare(nearest_set, with_rival)
             if squared_ratio.worst_miss > MOST_REPLAY_MISS:
                 continue
             if squared_ratio.low > 1.0 and squared_ratio.value > RULED_OUT_RATIO:
-                ruled_out.append(RuledOut(rival.effect, member[0], squared_ratio.value))
+                ruled_out.append(RuledOut(rival.effect, member.effect, squared_ratio.value))
             elif squared_ratio.high < 1.0 and squared_ratio.value < 1.0 / RULED_OUT_RATIO:
-                ruled_out.append(RuledOut(member[0], rival.effect, 1.0 / squared_ratio.value))
-                nearest_set, member = with_rival, rival.candidate
+                ruled_out.append(RuledOut(member.effect, rival.effect, 1.0 / squared_ratio.value))
+                nearest_set, member = with_rival, rival
     return nearest_set, ruled_out
+
+
+def is_one_law(first: FurtherEffect, second: FurtherEffect) -> bool:
+    """Return whether two effects explain the same in every row of the equations, to within rounding.
+
+    Their replays differ only where a shaft stands or begins to move, as a friction by direction and an offset of the
+    current do. What the simulation makes of friction there would decide, and not the effect.
+    """
+    # an unusual effect has lost `TIE_SHARE` of its gain
+    return abs(first.gain - second.gain) <= 2.0 * TIE_SHARE * max(first.gain, second.gain)
 
 
 def without_ruled_out(judgement: Judged, ruled_out: Sequence[RuledOut]) -> Judged:
