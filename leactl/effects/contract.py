@@ -86,6 +86,9 @@ class Signals:
     sliding: Array | None = None
     torque: Array | None = None  # N*m
     count: float = 0.0  # rad, step of the encoder; zero if its steps do not show
+    load_inertia: float = 0.0  # kg*m^2, of the model's pendulum or arm
+    weight: Array | None = None  # N*m, torque of gravity on the model's pendulum or arm at the measured angle
+    weight_slope: Array | None = None  # N*m/rad, its change with the angle
     settled: npt.NDArray[np.bool_] | bool = True  # whether the sticking position of a locked rotor is known
     unleapt: npt.NDArray[np.bool_] | bool = True  # whether the sliding of a locked rotor is known
     resolved: npt.NDArray[np.bool_] | bool = True  # whether the samples resolve the motion between them

@@ -3,7 +3,7 @@
 The load goes on by itself, slowed by its own friction, until a flank of the motor's side reaches it; there it takes the
 motor's speed without rebound, as gears do whose teeth are stiff and damped (models of play: Nordin and Gutman, 2002).
 The measured motion of the motor alone moves the load, so that the load's torque is known but for its share of the
-inertia.
+inertia. A pendulum or an arm falls by its weight while it is free; all of it is taken to hang behind the teeth.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -37,8 +37,8 @@ class GearBacklash(Effect):
     )
 
     def applies(self, model: Model) -> bool:
-        """Return whether the model has no shaft to a load actuator, whose play is `backlash`, and no other load."""
-        return model.bench.shaft_stiffness is None and model.load.type == "none"
+        """Return whether the model has no shaft to a load actuator, whose play is `backlash`."""
+        return model.bench.shaft_stiffness is None
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """Return the change of the rigid joint's torque balance if the whole inertia were behind teeth."""
@@ -50,26 +50,27 @@ class GearBacklash(Effect):
         if signals.mechanical != "free" or speed is None or signals.acceleration is None or not inertia:
             yield from ({} for _ in forms)
             return
+        inertia += signals.load_inertia
         damping, friction = signals.model.viscous_damping or 0.0, signals.model.coulomb_friction or 0.0
+        fall = None if signals.weight is None else signals.weight / signals.load_inertia
         forms_at_once = max(MOST_SAMPLES_AT_ONCE // len(speed), 1)
         for first in range(0, len(forms), forms_at_once):
             plays, friction_ratios = (
                 np.array(column) for column in zip(*forms[first : first + forms_at_once], strict=True)
             )
             rates = friction_ratios * damping / inertia, friction_ratios * friction / inertia
-            loads, _ = follow_loads(speed, signals.interval, 0.5 * plays, *rates)
-            for load, play, friction_ratio in zip(loads, plays, friction_ratios, strict=True):
+            loads, twists = follow_loads(speed, signals.interval, 0.5 * plays, *rates, fall)
+            for load, twist, play, friction_ratio in zip(loads, twists, plays, friction_ratios, strict=True):
                 if play < LEAST_PLAY_COUNTS * signals.count:
                     yield {}
                     continue
                 relative_speed = signals.smoothed(load - speed)
                 friction_change = damping * relative_speed + friction * signals.smoothed(np.sign(load) - np.sign(speed))
-                yield {
-                    "drag": {
-                        "share": inertia * np.gradient(relative_speed, signals.interval)
-                        + friction_ratio * friction_change
-                    }
-                }
+                column = inertia * np.gradient(relative_speed, signals.interval) + friction_ratio * friction_change
+                if signals.weight_slope is not None:
+                    # the load hangs at another angle than the motor's; all of it is the model's pendulum or arm
+                    column -= inertia / signals.load_inertia * signals.weight_slope * signals.smoothed(twist)
+                yield {"drag": {"share": column}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return the play, and the load's shares of the inertia and of the friction."""

@@ -1,7 +1,8 @@
 """Joint elasticity: a share of the inertia follows the motor through a spring and a damper, and nothing else moves it.
 
 The load's acceleration is the motor's behind (2 z w s + w^2) / (s^2 + 2 z w s + w^2), w being the angular frequency at
-which it swings while the motor stands, z its damping ratio (Spong, 1987, of joints with elastic transmissions).
+which it swings while the motor stands, z its damping ratio (Spong, 1987, of joints with elastic transmissions). A
+pendulum or an arm hangs on the spring with the load, which its weight twists as well; all of it is taken to hang there.
 """
 
 from collections.abc import Mapping
@@ -35,8 +36,8 @@ class JointElasticity(Effect):
     narrow = True
 
     def applies(self, model: Model) -> bool:
-        """Return whether the model has no shaft, whose elasticity is `shaft_compliance`, and no other load."""
-        return model.bench.shaft_stiffness is None and model.load.type == "none"
+        """Return whether the model has no shaft, whose elasticity is `shaft_compliance`."""
+        return model.bench.shaft_stiffness is None
 
     def terms(self, signals: Signals, form: Form) -> Terms:
         """Return the change of the rigid joint's torque balance if the whole inertia were elastically coupled."""
@@ -45,9 +46,12 @@ class JointElasticity(Effect):
             return {}
         if form[1] >= LEAST_CREEP_DAMPING:
             return {}
-        load_motion = load_acceleration(signals.acceleration, form[0], form[1], signals.interval)
+        load_motion = follow_spring(signals.acceleration, form[0], form[1], signals.interval)
         load_motion += swing_at_start(signals, load_motion, form)
-        return {"drag": {"share": inertia * (load_motion - signals.acceleration)}}
+        column = (inertia + signals.load_inertia) * (load_motion - signals.acceleration)
+        if signals.weight is not None:
+            column += (inertia + signals.load_inertia) / signals.load_inertia * weight_on_spring(signals, form)
+        return {"drag": {"share": column}}
 
     def parameters(self, form: Form, coefficients: Mapping[str, float], model: Model) -> dict[str, float]:
         """Return the load's share of the inertia, and frequency and damping ratio of its swing."""
@@ -58,6 +62,18 @@ class JointElasticity(Effect):
         damping = parameters.get("damping_ratio", DEFAULT_DAMPING_RATIO)
         share = min(parameters["share"], MOST_LOAD_SHARE)
         plant.elastic_load = ElasticLoad(share, parameters["frequency"], damping)
+
+
+def weight_on_spring(signals: Signals, form: Form) -> Array:
+    """Return the change of a weight's torque on the motor by the spring: it lags, and hangs at another angle."""
+    assert signals.weight is not None and signals.weight_slope is not None and signals.angle is not None
+    followed_weight, followed_angle = (
+        follow_spring(values, form[0], form[1], signals.interval) for values in (signals.weight, signals.angle)
+    )
+    sag = followed_weight / (signals.load_inertia * (2.0 * np.pi * form[0]) ** 2)
+    return np.asarray(
+        followed_weight - signals.weight + signals.weight_slope * (followed_angle - signals.angle - sag), np.float64
+    )
 
 
 def swing_at_start(signals: Signals, load_motion: Array, form: Form) -> Array:
@@ -75,10 +91,11 @@ def swing_at_start(signals: Signals, load_motion: Array, form: Form) -> Array:
         return np.zeros_like(load_motion)
     swings = fading_waves(decay_rate, swing_rate, time)
     columns = [load_motion, *swings, signals.acceleration, signals.velocity, signals.sliding]
+    columns += [] if signals.weight is None else [signals.weight]
     design = np.stack([column[fitted_samples] for column in columns], axis=1)
     if len(design) < FEWEST_SAMPLES_PER_COEFFICIENT * len(columns):
         return np.zeros_like(load_motion)
-    load_coefficient, cosine, sine, rotor_coefficient, _, _ = np.linalg.lstsq(
+    load_coefficient, cosine, sine, rotor_coefficient, *_ = np.linalg.lstsq(
         design, signals.current[fitted_samples], rcond=None
     )[0]
     if load_coefficient <= JointElasticity.least * abs(load_coefficient + rotor_coefficient):
@@ -96,11 +113,11 @@ def fading_waves(decay_rate: float, swing_rate: float, time: Array) -> list[Arra
     return list(swings)
 
 
-def load_acceleration(acceleration: Array, frequency: float, damping_ratio: float, interval: float) -> Array:
-    """Return the load's acceleration for a given acceleration of the motor; both begin equal."""
+def follow_spring(motion: Array, frequency: float, damping_ratio: float, interval: float) -> Array:
+    """Return the load's acceleration, speed or angle for that of the motor; both begin equal and at rest."""
     numerator, denominator = load_filter(frequency, damping_ratio, interval)
-    initial = acceleration[0]
-    return np.asarray(initial + lfilter(numerator, denominator, acceleration - initial), np.float64)
+    initial = motion[0]
+    return np.asarray(initial + lfilter(numerator, denominator, motion - initial), np.float64)
 
 
 @lru_cache(maxsize=1024)  # all runs of a machine, and their simulated sound runs, need the same filters

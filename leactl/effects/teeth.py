@@ -15,7 +15,7 @@ MOST_SPEED_MISMATCH = 1e-3  # between a piece's start and the previous end, as a
 
 
 def follow_loads(
-    speed: Array, interval: float, half_plays: Array, damping: Array, friction: Array
+    speed: Array, interval: float, half_plays: Array, damping: Array, friction: Array, fall: Array | None = None
 ) -> tuple[Array, Array]:
     """Return speeds [rad/s] of loads driven through play, and the motor's relative angle [rad]; (loads, samples).
 
@@ -27,9 +27,13 @@ def follow_loads(
     half_plays : rad, half of the play of each load.
     damping : 1/s, decay rate of each load while it is free.
     friction : rad/s^2, deceleration of each load by Coulomb friction.
+    fall : rad/s^2, deceleration of a free load by its weight, at the motor's samples.
     """
     load_count, piece_count = len(half_plays), -(-(len(speed) - 1) // PIECE_SAMPLES)
     motor = np.concatenate([speed, np.full(piece_count * PIECE_SAMPLES + 1 - len(speed), speed[-1])])
+    falls = np.zeros_like(motor)
+    if fall is not None:
+        falls[: len(speed)] = fall * interval / STEPS_PER_SAMPLE
     begins = np.arange(piece_count) * PIECE_SAMPLES
     # states are speed of the load and angle of the motor beyond it; first guess: pressed in the motor's direction
     starts = np.stack([motor[begins] * np.ones((load_count, 1)), half_plays[:, None] * np.sign(motor[begins])])
@@ -45,8 +49,9 @@ def follow_loads(
             motor_before, motor_after = motor[begins[piece] + index], motor[begins[piece] + index + 1]
             states[0, index, load, piece], states[1, index, load, piece] = state
             motor_speeds = motor_before + (motor_after - motor_before) * shares
+            fall_in_step = falls[begins[piece] + index]
             for substep in range(STEPS_PER_SAMPLE):
-                state = teeth.step(state[0], state[1], motor_speeds[substep], motor_speeds[substep + 1])
+                state = teeth.step(state[0], state[1], motor_speeds[substep], motor_speeds[substep + 1], fall_in_step)
         has_next = piece + 1 < piece_count
         load, piece, ends = load[has_next], piece[has_next] + 1, np.stack(state)[:, has_next]
         speed_mismatch, angle_mismatch = np.abs(starts[:, load, piece] - ends)
@@ -82,10 +87,15 @@ class Teeth:
         """Largest change of speed by friction in a step [rad/s]."""
         return self.friction * self.interval
 
-    def step(self, load: Array, twist: Array, motor_before: Array, motor_after: Array) -> tuple[Array, Array]:
-        """Return the loads' speeds and the motors' relative angles after a step with linear motor speed."""
+    def step(
+        self, load: Array, twist: Array, motor_before: Array, motor_after: Array, fall: Array
+    ) -> tuple[Array, Array]:
+        """Return the loads' speeds and the motors' relative angles after a step with linear motor speed.
+
+        fall : rad/s, change of a free load's speed by its weight.
+        """
         # by minimum and maximum: `np.clip` takes several times as long for so few lanes
-        free_speed = load * self._decay
+        free_speed = load * self._decay - fall
         free_speed = free_speed - np.minimum(np.maximum(free_speed, -self._friction_change), self._friction_change)
         free_twist = twist + 0.5 * (motor_before + motor_after - load - free_speed) * self.interval
         side = np.sign(free_twist)

@@ -66,6 +66,14 @@ def signals(mechanical, slow=False):
 CASES = [signals("coupled"), signals("locked"), signals("free"), signals("heated", True), signals("free", True)]
 
 
+def test_a_friction_by_direction_is_a_constant_torque_through_swift_reversals():
+    """As the one of an offset of the current: rows of a reversal would tell the two apart that are one law."""
+    s = signals("free")
+    s.sliding = np.tanh(s.velocity)  # smoothed
+    [column] = library()["asymmetric_friction"].terms(s, ())["drag"].values()
+    np.testing.assert_array_equal(column, MODEL.coulomb_friction)
+
+
 def test_the_library_has_every_word_of_the_vocabulary():
     assert tuple(library()) == effect_names()
     assert set(effects_on("bench")) | set(effects_on("joint")) | set(effects_on("servo")) == set(library())

@@ -48,8 +48,9 @@ def axis_torque(record: Record, s: Signals) -> Equation | None:
         voltage_rate = s.extra["servo_slope"] * slope(s.extra["servo_reference"], s.interval)
         column = voltage_rate * model.torque_constant / model.phase_resistance
         nuisance["reference_timing_s"] = (column, TIMING_SAMPLES * s.interval)
-    load_inertia, shared = load.inertia, dict[str, tuple[Array, float]]()
-    resisting_torque = sum(resisting_columns.values()) + load_inertia * s.acceleration + level_torque * np.sin(tilt)
+    shared = dict[str, tuple[Array, float]]()
+    weight = level_torque * np.sin(tilt) if s.weight is None else s.weight
+    resisting_torque = sum(resisting_columns.values()) + s.load_inertia * s.acceleration + weight
     if (feed := voltage_feed(record, model)) is not None:
         damping += feed.damping
         shared = stamp_columns("axis_torque", clock, _FEED_CHANNELS, -s.extra["fed"])
@@ -65,7 +66,7 @@ def axis_torque(record: Record, s: Signals) -> Equation | None:
                 VOLT_PARAMETERS[name]: column for name, column in resisting_columns.items() if name in VOLT_PARAMETERS
             }
     places["drag"] = lambda c: c
-    places["angle_reading"] = lambda c: _angle_error(c, s.interval, inertia + load_inertia, damping)
+    places["angle_reading"] = lambda c: _angle_error(c, s.interval, inertia + s.load_inertia, damping)
     mask = moving_samples(s, clock.counts.get(("angle", "test"), 0.0))
     mask &= clock.all_valid(*((quantity, "test") for quantity in ("angle", *_DRIVE_CHANNELS)))
     if feed is not None:
@@ -84,7 +85,7 @@ def axis_torque(record: Record, s: Signals) -> Equation | None:
         places,
         calibration | resisting_columns,
         shared=nuisance | shared,
-        width=1.0 if "creep" in s.extra else 4.0 if feed is None else fed_motor_width(clock, s, inertia + load_inertia),
+        width=1.0 if "creep" in s.extra else 4.0 if feed is None else fed_motor_width(clock, s),
         step=2 if "creep" in s.extra else 8,
     )
 
@@ -95,13 +96,14 @@ _FEED_CHANNELS = ("q_axis_voltage", "test"), ("angle", "test"), ("velocity", "te
 _DRIVE_CHANNELS = ("q_axis_current", "q_axis_current_reference", "torque_reference", "angle_reference", "drive_enabled")
 
 
-def fed_motor_width(clock: Clocked, s: Signals, inertia: float) -> float:
+def fed_motor_width(clock: Clocked, s: Signals) -> float:
     """Return the least smoothing [samples] at which the acceleration noise of a fed motor is small; else the largest.
 
     The limit is `MOST_INERTIAL_NOISE`. Where the torque of inertia is noisier, a fit lowers the inertia and names an
     effect instead.
     """
     noise = noise_of(clock.values["angle", "test"]) if s.angle is not None else 0.0
+    inertia = (s.model.rotor_inertia or 0.0) + s.load_inertia
     largest_noise = MOST_INERTIAL_NOISE * float(np.sqrt(np.mean(s.extra["fed"] ** 2)))
     for width in SMOOTHING_WIDTHS:
         if inertia * noise_of_acceleration(noise, s.interval, width) <= largest_noise:

@@ -259,6 +259,7 @@ def lanes_of(cuts: Sequence[CutJob], stretches: Sequence[Index]) -> Lanes:
         stiffness=constant("stiffness"),
         damping_ratio=constant("damping_ratio"),
         gravity=constant("gravity"),
+        load_gravity=constant("load_gravity"),
         hanging=constant("hanging"),
         servo=servo,
         tracking=tracking,
@@ -293,6 +294,7 @@ def constants_of(job: Job) -> dict[str, float]:
         "stiffness": 0.0 if record.mechanical == "free" else job.plant.stiffness or 0.0,
         "damping_ratio": SHAFT_DAMPING,
         "gravity": load.level_torque,
+        "load_gravity": 0.0,
         "hanging": load.hanging_angle,
     }
     if has_coupled_part(job):
@@ -338,6 +340,8 @@ def split_rotor_constants(rotor: Mapping[str, float], job: Job) -> dict[str, flo
         "load_inertia": load_inertia,
         "load_damping": friction_share * rotor["damping"],
         "load_friction": friction_share * rotor["friction"],
+        "gravity": 0.0,  # a pendulum or an arm hangs on the coupled part
+        "load_gravity": rotor["gravity"],
     }
     if spring is not None:
         constants["stiffness"] = load_inertia * (2.0 * np.pi * spring.frequency) ** 2

@@ -77,7 +77,8 @@ class Lanes:
     load_friction: Array  # N*m
     stiffness: Array  # N*m/rad; zero where nothing is on the shaft
     damping_ratio: Array  # of critical, of the shaft
-    gravity: Array  # N*m, torque of a level pendulum or arm
+    gravity: Array  # N*m, torque of a level pendulum or arm on the test rotor
+    load_gravity: Array  # N*m, of one on the coupled part of a free rotor
     hanging: Array  # rad, angle of a pendulum or arm that hangs straight down
     servo: Servo | None = None
     tracking: Tracking | None = None
@@ -119,7 +120,11 @@ def step_lanes(lanes: Lanes, start: LaneState) -> LaneMotion:
     stiffness = resonant_stiffness(lanes)
     shaft_damping = 2.0 * lanes.damping_ratio * np.sqrt(stiffness / (1.0 / lanes.inertia + 1.0 / lanes.load_inertia))
     bristles = _Bristles(lanes, gain)
-    has_shaft, has_gravity = bool(np.any(stiffness > 0)), bool(np.any(lanes.gravity != 0))
+    has_shaft = bool(np.any(stiffness > 0))
+    # at the end of a shaft between two actuators, the torque on the shaft counts alone
+    gravity = np.where(stiffness > 0.0, 0.0, lanes.gravity)
+    has_gravity, has_load_gravity = bool(np.any(gravity != 0)), bool(np.any(lanes.load_gravity != 0))
+    hangs = has_load_gravity or bool(np.any(lanes.gravity != 0))
     load_turns, voltage_fed = has_shaft and bool(np.any(load_gain > 0)), bool(np.any(lanes.emf_damping > 0))
     friction_step, load_friction_step = gain * lanes.friction, load_gain * lanes.load_friction
     groups = [_Group(plant, lanes_of_plant, gain) for plant, lanes_of_plant in lanes.plants]
@@ -148,8 +153,9 @@ def step_lanes(lanes: Lanes, start: LaneState) -> LaneMotion:
             torque += shaft_damping * (velocity - load_velocity)
             for group in groups:
                 group.remove_torque_in_play(stiffness)
-        elif has_gravity:
-            np.multiply(lanes.gravity, np.sin(angle - lanes.hanging), out=torque)
+        if has_gravity:
+            weight = gravity * np.sin(angle - lanes.hanging)
+            torque[:] = torque + weight if has_shaft else weight
         np.subtract(drive, torque, out=push)
         decay_now, gain_now, friction_step_now = decay, gain, friction_step
         if servo is not None:
@@ -173,7 +179,7 @@ def step_lanes(lanes: Lanes, start: LaneState) -> LaneMotion:
                 level = friction_step_now.copy()
             drive_torque = drive - lanes.emf_damping * velocity if voltage_fed else drive
             for group in groups:
-                group.drive(drive_torque, drive_torque if has_gravity else torque)
+                group.drive(drive_torque, drive_torque if hangs else torque)
         np.multiply(velocity, decay_now, out=frictionless_velocity)
         push *= gain_now
         frictionless_velocity += push
@@ -186,7 +192,10 @@ def step_lanes(lanes: Lanes, start: LaneState) -> LaneMotion:
             twist += h * velocity
             if load_turns:
                 assert lanes.load_drive is not None
-                frictionless_load_velocity = load_decay * load_velocity + load_gain * (lanes.load_drive[index] + torque)
+                load_push = lanes.load_drive[index] + torque
+                if has_load_gravity:
+                    load_push = load_push - lanes.load_gravity * np.sin(angle - twist - lanes.hanging)
+                frictionless_load_velocity = load_decay * load_velocity + load_gain * load_push
                 load_velocity = frictionless_load_velocity - np.minimum(
                     np.maximum(frictionless_load_velocity, -load_friction_step), load_friction_step
                 )

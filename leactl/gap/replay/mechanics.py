@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects.hysteresis_and_lags import play
+from leactl.effects.joint_elasticity import follow_spring
 from leactl.effects.plant import Array
 from leactl.effects.teeth import follow_loads
 from leactl.gap.replay.cutting import (
@@ -129,6 +130,7 @@ def start_of(cut: CutJob, kind: str) -> LaneState:
     sliding_share = np.tanh(velocity / 0.1)
     net = drive - (constants["damping"] + constants["emf_damping"]) * velocity - constants["friction"] * sliding_share
     load_net = load_drive - constants["load_damping"] * velocity - constants["load_friction"] * sliding_share
+    load_net = load_net - constants["load_gravity"] * np.sin(angle - constants["hanging"])
     twist = np.zeros(len(samples))
     accelerated_inertia = constants["inertia"]
     if constants["stiffness"]:
@@ -142,8 +144,10 @@ def start_of(cut: CutJob, kind: str) -> LaneState:
     half_step_velocity = velocity - 0.5 * job.step * net / accelerated_inertia * np.abs(sliding_share)
     load_velocity = half_step_velocity.copy()
     is_measured = job.clock.get("angle") is not None or job.clock.get("velocity") is not None
-    if is_measured and kind != "servo" and job.plant.geared_load is not None and has_coupled_part(job):
-        load_velocity, twist = load_behind_teeth(job, constants, samples)
+    if is_measured and kind != "servo" and has_coupled_part(job):
+        load_velocity, twist = (load_behind_teeth if job.plant.geared_load is not None else load_on_spring)(
+            job, constants, samples
+        )
     return LaneState(angle, half_step_velocity, load_velocity, twist, np.sign(velocity) * np.abs(sliding_share))
 
 
@@ -152,16 +156,34 @@ def load_behind_teeth(job: Job, constants: Mapping[str, float], samples: Index) 
 
     constants : constants of the bench, from `constants_of`.
     """
-    _, speed = smooth_motion(job)
-    load_constants = np.array(
-        [
-            0.5 * job.plant.play,
-            constants["load_damping"] / constants["load_inertia"],
-            constants["load_friction"] / constants["load_inertia"],
-        ]
+    angle, speed = (values[:: job.parts] for values in smooth_motion(job))
+    inertia = constants["load_inertia"]
+    half_plays, damping, friction = (
+        np.array([value])
+        for value in (0.5 * job.plant.play, constants["load_damping"] / inertia, constants["load_friction"] / inertia)
     )
-    speeds, twists = follow_loads(speed[:: job.parts], job.clock.interval, *load_constants[:, None])
+    fall = constants["load_gravity"] * np.sin(angle - constants["hanging"]) / inertia
+    speeds, twists = follow_loads(speed, job.clock.interval, half_plays, damping, friction, fall)
     return speeds[0, samples], twists[0, samples]
+
+
+def load_on_spring(job: Job, constants: Mapping[str, float], samples: Index) -> tuple[Array, Array]:
+    """Return speed [rad/s] and twist [rad], at some samples, of a load that the measured motion drives by a spring.
+
+    The load's swing at the start of the run is not known; it decays.
+
+    constants : constants of the bench, from `constants_of`.
+    """
+    spring = job.plant.elastic_load
+    assert spring is not None
+    interval, angular_frequency = job.clock.interval, 2.0 * np.pi * spring.frequency
+    angle, speed = (values[:: job.parts] for values in smooth_motion(job))
+    weightless_speed = follow_spring(speed, spring.frequency, spring.damping_ratio, interval)
+    damping = 2.0 * spring.damping_ratio * angular_frequency * (speed - weightless_speed)
+    twist = (np.gradient(weightless_speed, interval) - damping) / angular_frequency**2
+    weight = constants["load_gravity"] * np.sin(angle - constants["hanging"])
+    sag = weight / (constants["load_inertia"] * angular_frequency**2)
+    return (weightless_speed - np.gradient(sag, interval))[samples], (twist + sag)[samples]
 
 
 def twist_under_torque(torque: Array, job: Job) -> Array:

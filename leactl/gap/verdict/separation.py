@@ -48,9 +48,7 @@ def nearest_of_classes(
                 continue
             if is_one_law(member, rival):
                 continue
-            with_rival = [
-                rival.candidate if candidate == member.candidate else candidate for candidate in nearest_set
-            ]
+            with_rival = [rival.candidate if candidate == member.candidate else candidate for candidate in nearest_set]
             squared_ratio = compare(nearest_set, with_rival)
             if squared_ratio.worst_miss > MOST_REPLAY_MISS:
                 continue

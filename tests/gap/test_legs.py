@@ -1,0 +1,86 @@
+"""A leg with a weight, on a spring or without, and what is said where the equations do not show the spring."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from leactl.gap.diagnose import diagnose
+from leactl.gap.diagnosis import MOST_REPLAY_MISS, Shrinkage
+from leactl.gap.replay import replay
+from leactl.gap.search.parameters import with_effects
+from leactl.gap.verdict.replay_gap import floors_of_sound_machine, unexplained_in_replays
+from tests.gap.legs import case, drawn_leg, recorded
+
+SWING = 9.0  # Hz
+
+
+def parameters_of(cause):
+    return {parameter.name: parameter.value for parameter in cause.parameters}
+
+
+def velocity_gap(diagnosis):
+    [line] = [line for line in diagnosis.shrinkage if line.quantity == "velocity"]
+    return line
+
+
+def test_a_weight_on_a_spring_is_named_with_its_share_and_its_swing():
+    leg = drawn_leg(np.random.default_rng(1), SWING)
+    diagnosis = diagnose(case(leg, np.random.default_rng(2)))
+    assert [cause.effect for cause in diagnosis.causes if cause.probability > 0.5] == ["joint_elasticity"]
+    found = parameters_of(diagnosis.causes[0])
+    assert found["share"] == pytest.approx(leg.share, rel=0.03)
+    assert found["frequency"] == pytest.approx(SWING, rel=0.02)
+    assert found["damping_ratio"] == pytest.approx(leg.swing_damping, rel=0.1)
+    line = velocity_gap(diagnosis)
+    assert line.calibrated_rms > 20.0 * line.floor_rms
+    assert line.closed > 0.9
+
+
+def test_a_weight_on_the_motor_itself_is_sound():
+    assert diagnose(case(drawn_leg(np.random.default_rng(3)), np.random.default_rng(4))).verdict == "calibration"
+
+
+def test_a_swing_that_no_equation_shows_is_unknown_for_what_it_leaves_in_replays():
+    leg = replace(drawn_leg(np.random.default_rng(3), 25.0), swing_damping=0.02)
+    diagnosis = diagnose(case(leg, np.random.default_rng(4)))
+    assert (diagnosis.verdict, diagnosis.causes) == ("unknown", ())
+    assert velocity_gap(diagnosis).augmented_rms > MOST_REPLAY_MISS * velocity_gap(diagnosis).floor_rms
+    [note] = [note for note in diagnosis.notes if note.startswith("unexplained")]
+    assert "simulated again, velocity of held-out runs, free" in note
+
+
+@pytest.mark.parametrize("weighs", [True, False])
+def test_a_replay_of_a_load_on_a_spring_starts_where_the_motion_has_it(weighs):
+    """A lightly damped load swings on for longer than a second: at rest at each restart, it would be far off."""
+    leg = replace(drawn_leg(np.random.default_rng(1), SWING), swing_damping=0.02)
+    leg = leg if weighs else replace(leg, mass=leg.mass * 1e-6, length=leg.length * 1e3)  # all inertia, no weight
+    run = recorded(leg, "steps", "a", np.random.default_rng(2))
+    spring = {"share": leg.share, "frequency": SWING, "damping_ratio": leg.swing_damping}
+    measured = run.fast.values["velocity", "test"]
+    missed = [
+        float(np.sqrt(np.nanmean((replay(run, model).fast["velocity", "test"] - measured) ** 2)))
+        for model in (with_effects(leg.model(), [("joint_elasticity", spring)]), leg.model())
+    ]
+    assert missed[0] < 0.03 * np.std(measured)
+    assert missed[1] > 0.1 * np.std(measured)
+
+
+def gap_of(floor, rms):
+    return Shrinkage("velocity", "test", "free", "rad/s", rms, rms, rms, floor)
+
+
+def test_a_gap_counts_by_what_a_sound_machine_leaves_in_the_same_replays():
+    leg = drawn_leg(np.random.default_rng(3))
+    runs, model = [recorded(leg, "multisine", "a", np.random.default_rng(4))], leg.model()
+    sound_floor = floors_of_sound_machine(runs, model)["velocity", "test", "free"]
+    unrest = {("axis_torque", "velocity", "free"): 1.0, ("axis_torque", "velocity", "coupled"): 9.0}
+    for floors, probability in ((MOST_REPLAY_MISS, 0.5), (2.0 * MOST_REPLAY_MISS, 1.0)):
+        seen = unexplained_in_replays([gap_of(1e-3 * sound_floor, floors * sound_floor)], runs, model, unrest)
+        assert seen.probability == pytest.approx(probability, abs=0.04)
+        assert seen.channel == ("axis_torque", "velocity", "free")
+    near = gap_of(sound_floor, 0.99 * MOST_REPLAY_MISS * sound_floor)
+    assert unexplained_in_replays([near], runs, model, unrest).probability == 0.0
+    of_the_drive = replace(gap_of(1.0, math.inf), quantity="q_axis_current")
+    assert unexplained_in_replays([of_the_drive], runs, model, unrest).probability == 0.0
