@@ -32,6 +32,8 @@ from leactl.gap.servo import answer as servo_answer
 from leactl.gap.servo.effect_sets import fit_effect_sets
 from leactl.gap.servo.runs import runs_at_common_rate
 from leactl.gap.setup import SetUpFault, find_and_mend_faults
+from leactl.gap.setup.conventions import convention
+from leactl.gap.setup.signs_and_scales import SCALE
 from leactl.gap.signals.record import Record
 from leactl.gap.signals.rig import DRIVE_CHANNELS, RIG_ENTRIES, VOLTAGE_KIND, Array
 from leactl.gap.signals.setpoints import mark_setpoints, setpoint_notes
@@ -175,7 +177,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
     Causes come from the fitted runs alone, the shrinkage of the gap from the held-out runs. Faults of the set-up are
     searched in all runs, since each run may have its own. A fault that is recognised by comparing a channel with the
     model is not named if the mended runs stay unexplained and an effect explains them without that mend: a strong
-    spring may look like a factor.
+    spring may look like a factor. Nor is one that `is_refuted`.
 
     Raises
     ------
@@ -187,22 +189,54 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
     uncertain_faults = [fault for fault in faults if fault.shrinks]
     if not uncertain_faults or diagnosis.unexplained_probability < UNKNOWN_PROBABILITY:
         return diagnosis
-    certain_faults, records = [fault for fault in faults if not fault.shrinks], [*case.fitted, *case.held_out]
-    for fault in certain_faults:
-        records = [fault.mend(record) for record in records]
-    try:
-        partly_mended_diagnosis = diagnose_mended(case.of_records(records), certain_faults, progress)
-    except InputError:
+    unmended_diagnosis = diagnose_without_mends(case, faults, uncertain_faults, progress)
+    if unmended_diagnosis is None:
         return diagnosis
     names_an_effect = any(
-        cause.family != "setup" and cause.probability >= NAMED_PROBABILITY for cause in partly_mended_diagnosis.causes
+        cause.family != "setup" and cause.probability >= NAMED_PROBABILITY for cause in unmended_diagnosis.causes
     )
-    if not names_an_effect or partly_mended_diagnosis.unexplained_probability >= UNKNOWN_PROBABILITY:
-        return diagnosis
-    not_named = tuple(
-        f"not named: {fault.name}; an effect explains the runs without mending it" for fault in uncertain_faults
+    if names_an_effect and unmended_diagnosis.unexplained_probability < UNKNOWN_PROBABILITY:
+        reason = "an effect explains the runs without mending it"
+        return with_unnamed_faults(unmended_diagnosis, uncertain_faults, reason)
+    refuted_faults = [fault for fault in uncertain_faults if is_refuted(fault, diagnosis)]
+    if refuted_faults != uncertain_faults:
+        unmended_diagnosis = diagnose_without_mends(case, faults, refuted_faults, progress) if refuted_faults else None
+    reason = "what is left of its channel once it is mended follows another law"
+    return with_unnamed_faults(unmended_diagnosis, refuted_faults, reason) if unmended_diagnosis else diagnosis
+
+
+def diagnose_without_mends(
+    case: Case, faults: Sequence[SetUpFault], dropped_faults: Sequence[SetUpFault], progress: Progress
+) -> DiagnosisResult | None:
+    """Return the diagnosis without the mends of some faults; None where no equation can be checked then."""
+    kept_faults, records = [fault for fault in faults if fault not in dropped_faults], [*case.fitted, *case.held_out]
+    for fault in kept_faults:
+        records = [fault.mend(record) for record in records]
+    try:
+        return diagnose_mended(case.of_records(records), kept_faults, progress)
+    except InputError:
+        return None
+
+
+def is_refuted(fault: SetUpFault, diagnosis: DiagnosisResult) -> bool:
+    """Return whether a scaled channel stays unexplained once it is mended, and no convention has its factor.
+
+    A channel in another unit is exact once it is mended; a dead band of a drive has a mean factor, too.
+    """
+    rest = diagnosis.unexplained
+    factors = [parameter for parameter in fault.parameters if parameter.name == "factor"]
+    return (
+        fault.name == SCALE
+        and rest is not None
+        and (rest.quantity, rest.role) == (fault.key[0].removesuffix("_reference"), fault.key[1])
+        and not any(convention(factor.value, factor.std / abs(factor.value)) for factor in factors)
     )
-    return replace(partly_mended_diagnosis, notes=(*not_named, *partly_mended_diagnosis.notes))
+
+
+def with_unnamed_faults(diagnosis: DiagnosisResult, faults: Sequence[SetUpFault], reason: str) -> DiagnosisResult:
+    """Return a diagnosis with a note on each fault that is not named, and the reason."""
+    not_named = tuple(f"not named: {fault.name}; {reason}" for fault in faults)
+    return replace(diagnosis, notes=(*not_named, *diagnosis.notes))
 
 
 def mend_faults(case: Case) -> tuple[list[SetUpFault], Case]:

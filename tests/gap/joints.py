@@ -63,6 +63,7 @@ class Effect:
 
     delay: int = 0  # samples, by which the reference acts late
     slew: float = np.inf  # A/s, that the drive follows its reference with
+    dead: float = 0.0  # A, of the reference on either side of zero, which the drive takes for none
     limits: Callable[[float], tuple[float, float]] | None = None  # A, lowest and highest current at a speed
     loss: float = 0.0  # of the torque constant at the highest current, growing with its square
     drag: Callable[[float], float] = lambda speed: 0.0  # N*m, against the motion
@@ -164,7 +165,7 @@ def simulated(joint, log, asked, effect):
     follows, filters = (-np.expm1(-2.0 * np.pi * np.array([joint.loop, joint.filter]) * step)).tolist()
     by_samples = float(-np.expm1(-2.0 * np.pi * joint.filter / joint.rate))
     constant, inertia, damping, top = map(float, (joint.constant, joint.inertia, joint.damping, joint.top))
-    held, fastest = joint.friction * step / inertia, effect.slew * step
+    held, fastest, dead = joint.friction * step / inertia, effect.slew * step, effect.dead
     drag, ripple, loss = effect.drag, effect.ripple, effect.loss
     limits = effect.limits
     dragged, whole = drag is not SOUND.drag, loss == SOUND.loss and ripple is SOUND.ripple
@@ -176,7 +177,7 @@ def simulated(joint, log, asked, effect):
             wanted = before + (value - before) * (part + 1) / PARTS if straight else value
             onward = wanted - limited
             limited += onward if -fastest <= onward <= fastest else fastest if onward > 0.0 else -fastest
-            driven = limited
+            driven = limited - min(max(limited, -dead), dead) if dead else limited
             if limits is not None:
                 lowest, highest = limits(speed)
                 driven = min(max(limited, lowest), highest)

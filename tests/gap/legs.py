@@ -21,6 +21,7 @@ SECONDS = 12.0
 GRAVITY = 9.80665  # m/s^2
 LOOP, FILTER = 200.0, 120.0  # Hz, of the current loop and of the velocity reading
 BANDWIDTH, DAMPING_RATIO = 1.5, 0.7  # Hz and 1, of the controller
+STOP, STOP_DAMPING = 2e3, 10.0  # N*m/rad and N*m*s/rad, of a stop
 COUNT = 2.0 * math.pi / 65536  # rad
 KINDS = ("multisine", "steps", "ramp")
 
@@ -37,6 +38,7 @@ class Leg:
     friction: float = 0.25  # N*m
     swing: float = 0.0  # Hz, of the mass on its spring while the motor stands; 0 where it is rigid
     swing_damping: float = 0.05  # of critical
+    stop: float = math.inf  # rad, angle at which the motor meets a hard stop on either side
 
     @property
     def load(self):
@@ -132,7 +134,9 @@ def moved(leg, wanted):
                 load_angle += load_speed * step
             else:
                 spring = leg.level * math.sin(angle)
-            ahead = speed + (leg.constant * flowing - leg.damping * speed - spring) * step / moving
+            beyond = abs(angle) - leg.stop
+            bump = math.copysign(STOP * beyond + STOP_DAMPING * abs(speed), angle) if beyond > 0.0 else 0.0
+            ahead = speed + (leg.constant * flowing - leg.damping * speed - spring - bump) * step / moving
             speed = ahead - min(max(ahead, -held), held)
             angle += speed * step
             read += filters * (speed - read)

@@ -51,6 +51,13 @@ def test_a_swing_that_no_equation_shows_is_unknown_for_what_it_leaves_in_replays
     assert "simulated again, velocity of held-out runs, free" in note
 
 
+def test_a_hard_stop_is_unknown_though_no_row_of_an_equation_has_it():
+    leg = replace(drawn_leg(np.random.default_rng(3)), stop=0.85)
+    diagnosis = diagnose(case(leg, np.random.default_rng(4)))
+    assert (diagnosis.verdict, diagnosis.causes) == ("unknown", ())
+    assert any(note.startswith("unexplained: simulated again, velocity") for note in diagnosis.notes)
+
+
 @pytest.mark.parametrize("weighs", [True, False])
 def test_a_replay_of_a_load_on_a_spring_starts_where_the_motion_has_it(weighs):
     """A lightly damped load swings on for longer than a second: at rest at each restart, it would be far off."""

@@ -28,7 +28,7 @@ from leactl.model.nominal import Model
 from leactl.quantities import UNITS
 from leactl.vocabulary.variable import VARIABLES
 from tests.gap.drawn_machines import case_of, write_cases
-from tests.gap.joints import Log, case, channels, drawn_joint
+from tests.gap.joints import Effect, Log, case, channels, drawn_joint
 
 ANGLE, VELOCITY = ("angle", "test"), ("velocity", "test")
 STRONG_SPRING = 14002, 117  # seeds of a set of machines and of a case, whose spring looks like a factor of 2 pi
@@ -218,6 +218,20 @@ def test_a_fault_is_not_named_where_an_effect_explains_the_runs_as_they_were_log
     assert [fault.as_cause().effect for fault in faults] == ["channel_scale"]
     diagnosis = diagnose(sprung)
     assert [cause.effect for cause in diagnosis.causes if cause.probability >= 0.5] == ["position_spring"]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_dead_band_of_the_drive_is_no_scale_of_its_current(seed):
+    """It has a mean factor, of 0.92, in which a channel in another unit would be exact once it is mended."""
+    random = np.random.default_rng(seed)
+    joint = drawn_joint(random)
+    diagnosis = diagnose(case(joint, Log(), random, Effect(dead=0.06 * joint.top)))
+    assert (diagnosis.verdict, [cause.effect for cause in diagnosis.causes if cause.probability > 0.5]) == (
+        "unknown",
+        [],
+    )
+    assert diagnosis.unexplained.quantity == "q_axis_current"
+    assert any(note.startswith("not named: channel_scale; what is left") for note in diagnosis.notes)
 
 
 @pytest.mark.parametrize("mechanical", ["free", "locked"])

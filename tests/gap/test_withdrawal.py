@@ -15,7 +15,7 @@ from leactl.gap.search.effect_sets import outweighs_equation
 from leactl.gap.search.parameters import is_at_bound
 from leactl.gap.search.regression import Normal, Rows, gain_of, stack
 from leactl.gap.verdict.shrinkage import Growth, Shrunk
-from leactl.gap.verdict.withdrawal import FittedEffects, apply
+from leactl.gap.verdict.withdrawal import FittedEffects, apply, refusal_of_limit
 from leactl.model.nominal import Model, read_model
 from leactl.vocabulary.effect import effect_definition, effect_names
 from tests.cli.terminal import leactl
@@ -333,6 +333,18 @@ def test_the_recipe_of_the_readme_names_nothing_that_is_not_there(tmp_path, monk
     answer = json.loads(done.stdout)
     assert answer["causes"] == []
     assert answer["verdict"] != "effect"
+
+
+@pytest.mark.parametrize(
+    ("closed_by_set_up", "refused"), [((0.0,), True), ((0.3,), False), ((0.0, 0.3), False), ((None,), False)]
+)
+def test_a_limit_that_closes_nothing_of_a_currents_gap_is_none_however_small_the_gap(closed_by_set_up, refused):
+    """A current that overshoots is 3 floors off its reference with a voltage limit as without it."""
+    lines = tuple(
+        Shrinkage("q_axis_current", "test", set_up, "A", 3.0, 3.0, 3.0, 1.0, closed)
+        for set_up, closed in zip(("free", "coupled"), closed_by_set_up, strict=False)
+    )
+    assert bool(refusal_of_limit(Shrunk(lines, (), (), (), growth(-1.0, -0.05, True)))) is refused
 
 
 def limited(seed, stall_share, speed_share, limits):

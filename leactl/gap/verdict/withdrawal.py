@@ -278,11 +278,18 @@ def refusal_of_limit(shrunk: Shrunk) -> str:
     """Return why the drive cannot have been at a limit in held-out runs; empty where it may have been.
 
     A limit that acts determines the current alone, so that it closes nearly all of the current's gap. A law that
-    resembles the limit, such as that of a supply at its voltage limit, closes a part.
+    resembles the limit, such as that of a supply at its voltage limit, closes a part. What closes none of it in any
+    set-up is no limit, however small the gap: a current that overshoots resembles one.
     """
-    for channel in shrunk.shrinkage:
-        if channel.quantity != "q_axis_current" or channel.closed is None or not channel.floor_rms > 0.0:
-            continue
+    open_currents = [
+        channel
+        for channel in shrunk.shrinkage
+        if channel.quantity == "q_axis_current" and channel.closed is not None and channel.floor_rms > 0.0
+    ]
+    if open_currents and not any((channel.closed or 0.0) > 0.0 for channel in open_currents):
+        return "it closes nothing of the current's gap"
+    for channel in open_currents:
+        assert channel.closed is not None
         if channel.augmented_rms > MOST_REPLAY_MISS * channel.floor_rms and channel.closed < LEAST_LIMIT_SHARE:
             share = f"{100 * max(channel.closed, 0.0):.1f} % of the current's gap, {channel.mechanical}"
             return f"it closes {share}; a limit of the drive closes {100 * LEAST_LIMIT_SHARE:.0f} % or more"
