@@ -367,7 +367,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         signs_in_runs = (
             unexplained_in_a_run(unrest_by_run),
             unexplained_in_held_out(evidence, applied_forms, case.held_out),
-            unexplained_in_replays(shrunk.shrinkage, replayed, applied.augmented, unrest(unrest_by_run)),
+            unexplained_in_replays(shrunk.shrinkage, replayed, applied.augmented),
         )
         strongest_sign = max(strongest_sign, *signs_in_runs, key=lambda sign: sign.probability)
     alternatives = [rival.candidate for judgement in judgements for rival, _ in judgement.rivals]

@@ -4,7 +4,7 @@ Equations are judged row by row, leave out rows that they cannot read, and calib
 equation reads, such as a stop at the end of a motion, shows in a replay alone.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from leactl.gap.diagnosis import MOST_REPLAY_MISS, Shrinkage
 from leactl.gap.null import sound_runs
 from leactl.gap.signals.record import Record
-from leactl.gap.verdict.judge import Channel, Unexplained, unexplained_probability
+from leactl.gap.verdict.judge import Unexplained, unexplained_probability
 from leactl.gap.verdict.shrinkage import shrinkage
 from leactl.model.nominal import Model
 
@@ -20,20 +20,17 @@ MOTION = ("angle", "velocity", "torque")
 """Channels that tell how the machine moves; those of the drive depend on bandwidths, which only equations calibrate."""
 
 
-def unexplained_in_replays(
-    gaps: Sequence[Shrinkage], records: Sequence[Record], model: Model, unrest_by_channel: Mapping[Channel, float]
-) -> Unexplained:
+def unexplained_in_replays(gaps: Sequence[Shrinkage], records: Sequence[Record], model: Model) -> Unexplained:
     """Return the sign of something unexplained in the motion that a model without effects leaves in held-out runs.
 
     A gap counts in floors, or in what a sound machine leaves in the same replays if that is more. The sound machine is
-    simulated only where a gap exceeds `MOST_REPLAY_MISS` floors.
+    simulated only where a gap exceeds `MOST_REPLAY_MISS` floors. No equation goes with the sign, since none shows it.
 
     Parameters
     ----------
     gaps : gaps of the held-out runs.
     records : held-out runs.
     model : model of the replays.
-    unrest_by_channel : unrest of each equation; the note goes with the one of the same set-up that has most.
     """
     nothing = Unexplained(0.0, "")
     wide_gaps = [gap for gap in gaps if gap.quantity in MOTION and gap.augmented_rms > MOST_REPLAY_MISS * gap.floor_rms]
@@ -52,12 +49,7 @@ def unexplained_in_replays(
         f"unexplained: simulated again, {widest_gap.quantity} of held-out runs, {widest_gap.mechanical}, is"
         f" {ratio:.3g} times as far off as a sound machine's"
     )
-    channel = max(
-        (channel for channel in unrest_by_channel if channel[2] == widest_gap.mechanical),
-        key=lambda channel: unrest_by_channel[channel],
-        default=None,
-    )
-    return Unexplained(unexplained_probability(ratio**2, MOST_REPLAY_MISS**2), note, channel)
+    return Unexplained(unexplained_probability(ratio**2, MOST_REPLAY_MISS**2), note)
 
 
 def floors_of_sound_machine(records: Sequence[Record], model: Model) -> dict[tuple[str, str, str], float]:
