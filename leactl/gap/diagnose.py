@@ -10,6 +10,7 @@ import numpy as np
 from leactl.effects import library
 from leactl.errors import InputError
 from leactl.gap.diagnosis import CalibratedParameter, Cause, DiagnosisResult, EffectParameter
+from leactl.gap.fitted_load import with_fitted_load
 from leactl.gap.null import measure, set_floors, with_simulator_runs, without_imitated_members
 from leactl.gap.open_forms import across_open_form, nearest_to_runs
 from leactl.gap.planning.separating import separating_experiment
@@ -273,6 +274,9 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     """
     progress("reading equations")
     case = case.of_records(mark_setpoints([*case.fitted, *case.held_out], case.model))
+    model_with_load, load_parameters = with_fitted_load(case.fitted, case.model)
+    if load_parameters:
+        case = replace(case, model=model_with_load, nominal=case.nominal or case.model)
     evidence = Evidence(case.fitted, case.model)
     if not evidence.stack.rows:
         raise InputError(
@@ -353,7 +357,9 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
     notes = condition_notes(case.fitted, case.held_out) + reading_notes([*case.fitted, *case.held_out])
     if {record.path for record in case.held_out} & {record.path for record in case.fitted}:
         notes += ("no kind of run occurs twice: held out are two sixteenths of each run",)
-    calibrates = not applied.first_calibration_withdrawn and calibration_gains(evidence, searched)
+    calibrates = bool(load_parameters) or (
+        not applied.first_calibration_withdrawn and calibration_gains(evidence, searched)
+    )
     applied_effects = {cause.effect for cause in applied.fitted.causes}
     applied_forms = [candidate for candidate in searched.hypothesis if candidate[0] in applied_effects]
     # what the withdrawn members explained is unexplained again
@@ -383,7 +389,7 @@ def diagnose_effects(case: Case, progress: Progress) -> DiagnosisResult:
         verdict_of(causes, strongest_sign.probability, calibrates),
         strongest_sign.probability,
         gap_regions,
-        applied.fitted.calibration,
+        (*applied.fitted.calibration, *load_parameters),
         causes,
         shrunk.shrinkage,
         tuple(

@@ -7,6 +7,7 @@ from typing import Any, Literal
 FORMAT, VERSION = "leactl-gap", 1
 LEAST_GAP_FLOORS = 1.1  # floors; a smaller distance counts as no gap
 MOST_REPLAY_MISS = 6.0  # floors, largest distance of a replay by the right model
+ZERO_ANGLE = "load.zero_angle"  # parameter of the model's arm
 Verdict = Literal["none", "calibration", "effect", "unknown"]
 Presence = Literal["alike", "differs", "absent", "not asked"]  # of a simulator's effect in the real runs
 
@@ -51,7 +52,7 @@ class CalibratedParameter:
     @property
     def has_ratio(self) -> bool:
         """Whether the ratio of fitted to nominal value is meaningful; an offset may be nominally near zero."""
-        return self.nominal != 0.0 and self.parameter != "ambient_offset"
+        return self.nominal != 0.0 and self.parameter not in ("ambient_offset", ZERO_ANGLE)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from leactl.gap.signals.smoothing import noise_of_acceleration, slope, smooth
 from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
+LOAD_ZERO = "load_zero_rad"  # nuisance of the angle at which the load hangs straight down
 SMOOTHING_WIDTHS = (4.0, 8.0, 12.0)  # samples, widths of the smoothing of a fed motor that are tried in this order
 MOST_INERTIAL_NOISE = 2e-3  # root mean square of the inertial torque's noise over that of the voltage's torque
 ZERO_PRIOR = 0.1  # rad, prior error of the angle at which a pendulum hangs straight down
@@ -43,7 +44,7 @@ def axis_torque(record: Record, s: Signals) -> Equation | None:
     }
     nuisance: dict[str, tuple[Array, float]] = {}
     if level_torque and s.angle is not None:
-        nuisance["load_zero_rad"] = (level_torque * np.cos(tilt), ZERO_PRIOR)
+        nuisance[LOAD_ZERO] = (level_torque * np.cos(tilt), ZERO_PRIOR)
     if "servo_slope" in s.extra and model.torque_constant and model.phase_resistance:
         voltage_rate = s.extra["servo_slope"] * slope(s.extra["servo_reference"], s.interval)
         column = voltage_rate * model.torque_constant / model.phase_resistance

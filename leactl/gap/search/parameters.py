@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from leactl.effects import library
-from leactl.gap.diagnosis import CalibratedParameter, EffectParameter
+from leactl.gap.diagnosis import ZERO_ANGLE, CalibratedParameter, EffectParameter
 from leactl.gap.search.effect_regression import PRIORS, Evidence
 from leactl.gap.search.regression import Candidate, Fit, disagreement
 from leactl.gap.search.stamp_fit import STAMP_DELAY_STD
@@ -167,6 +167,8 @@ def with_calibration(model: Model, parameters: Sequence[CalibratedParameter]) ->
         for key in path:
             section = section.setdefault(key, {})
         section[last_key] = parameter.fitted
+        if parameter.parameter == ZERO_ANGLE:
+            section["type"] = "arm"  # a pendulum has no such angle
     return Model.model_validate(document)
 
 
