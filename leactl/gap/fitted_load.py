@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from leactl.gap.diagnosis import ZERO_ANGLE, CalibratedParameter
-from leactl.gap.equations.axis import LOAD_ZERO
+from leactl.gap.equations.mechanical import LOAD_ZERO
 from leactl.gap.search.effect_regression import PRIORS, Evidence
 from leactl.gap.search.parameters import with_calibration
 from leactl.gap.search.regression import Fit

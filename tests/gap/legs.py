@@ -38,6 +38,8 @@ class Leg:
     friction: float = 0.25  # N*m
     swing: float = 0.0  # Hz, of the mass on its spring while the motor stands; 0 where it is rigid
     swing_damping: float = 0.05  # of critical
+    heavier: float = 1.0  # torque of the weight over that of its mass and length, by which the inertia goes
+    zero: float = 0.0  # rad, angle at which the mass would read zero if it hung straight down there
     stop: float = math.inf  # rad, angle at which the motor meets a hard stop on either side
 
     @property
@@ -48,7 +50,7 @@ class Leg:
     @property
     def level(self):
         """Torque of the mass while it is level [N*m]."""
-        return self.mass * GRAVITY * self.length
+        return self.heavier * self.mass * GRAVITY * self.length
 
     @property
     def share(self):
@@ -130,10 +132,10 @@ def moved(leg, wanted):
             carried += flowing
             if leg.swing:
                 spring = stiffness * (angle - load_angle) + spring_damping * (speed - load_speed)
-                load_speed += (spring - leg.level * math.sin(load_angle)) * step / leg.load
+                load_speed += (spring - leg.level * math.sin(load_angle - leg.zero)) * step / leg.load
                 load_angle += load_speed * step
             else:
-                spring = leg.level * math.sin(angle)
+                spring = leg.level * math.sin(angle - leg.zero)
             beyond = abs(angle) - leg.stop
             bump = math.copysign(STOP * beyond + STOP_DAMPING * abs(speed), angle) if beyond > 0.0 else 0.0
             ahead = speed + (leg.constant * flowing - leg.damping * speed - spring - bump) * step / moving

@@ -11,7 +11,7 @@ from leactl.gap.diagnosis import MOST_REPLAY_MISS, Shrinkage
 from leactl.gap.replay import replay
 from leactl.gap.search.parameters import with_effects
 from leactl.gap.verdict.replay_gap import floors_of_sound_machine, unexplained_in_replays
-from tests.gap.legs import case, drawn_leg, recorded
+from tests.gap.legs import GRAVITY, case, drawn_leg, recorded
 
 SWING = 9.0  # Hz
 
@@ -40,6 +40,39 @@ def test_a_weight_on_a_spring_is_named_with_its_share_and_its_swing():
 
 def test_a_weight_on_the_motor_itself_is_sound():
     assert diagnose(case(drawn_leg(np.random.default_rng(3)), np.random.default_rng(4))).verdict == "calibration"
+
+
+def calibrated(diagnosis):
+    return {item.parameter: item for item in diagnosis.calibration}
+
+
+@pytest.mark.parametrize(("heavier", "zero"), [(1.25, 0.0), (0.8, 0.0), (1.0, 0.08), (1.25, -0.05)])
+def test_a_wrong_weight_or_angle_of_the_load_is_calibrated(heavier, zero):
+    """The constant took a wrong weight up, and the inertia went seven eighths off; a wrong angle was in no replay."""
+    leg = replace(drawn_leg(np.random.default_rng(1)), heavier=heavier, zero=zero)
+    measured = case(leg, np.random.default_rng(2))
+    diagnosis = diagnose(measured)
+    assert (diagnosis.verdict, diagnosis.causes) == ("calibration", ())
+    found = calibrated(diagnosis)
+    constant = measured.model.torque_constant / leg.constant  # which no run of these tells from the weight
+    assert ("load.gravity" in found) is (heavier != 1.0)
+    if heavier != 1.0:
+        assert found["load.gravity"].fitted == pytest.approx(heavier * constant * GRAVITY, rel=0.02)
+    assert ("load.zero_angle" in found) is (zero != 0.0)
+    if zero:
+        assert found["load.zero_angle"].fitted == pytest.approx(-0.5 * np.pi - zero, abs=0.004)
+    assert found["rotor_inertia"].fitted == pytest.approx(leg.rotor, rel=0.08)
+    line = velocity_gap(diagnosis)
+    assert line.augmented_rms < 2.0 * line.floor_rms < 0.2 * line.nominal_rms
+
+
+def test_a_wrong_torque_constant_is_no_wrong_weight():
+    leg = drawn_leg(np.random.default_rng(1))
+    runs = case(leg, np.random.default_rng(2))
+    diagnosis = diagnose(replace(runs, model=leg.model((0.09, 0.05, 0.1, -0.1))))
+    assert (diagnosis.verdict, diagnosis.causes) == ("calibration", ())
+    assert calibrated(diagnosis)["torque_constant"].fitted == pytest.approx(leg.constant, rel=0.003)
+    assert not {"load.gravity", "load.zero_angle"} & calibrated(diagnosis).keys()
 
 
 def test_a_swing_that_no_equation_shows_is_unknown_for_what_it_leaves_in_replays():

@@ -5,6 +5,7 @@ import numpy.typing as npt
 
 from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import Equation, Place
+from leactl.gap.equations.mechanical import LOAD_ZERO, ZERO_PRIOR
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import Clocked, Record
 from leactl.gap.signals.rig import drive_of, load_of, moving_samples, voltage_feed
@@ -12,10 +13,8 @@ from leactl.gap.signals.smoothing import noise_of_acceleration, slope, smooth
 from leactl.gap.signals.stamps import stamp_columns
 
 Array = npt.NDArray[np.float64]
-LOAD_ZERO = "load_zero_rad"  # nuisance of the angle at which the load hangs straight down
 SMOOTHING_WIDTHS = (4.0, 8.0, 12.0)  # samples, widths of the smoothing of a fed motor that are tried in this order
 MOST_INERTIAL_NOISE = 2e-3  # root mean square of the inertial torque's noise over that of the voltage's torque
-ZERO_PRIOR = 0.1  # rad, prior error of the angle at which a pendulum hangs straight down
 TIMING_SAMPLES = 2.0  # samples, prior error of a reference's time: reference and feedback both pass the servo's bus
 
 
@@ -31,7 +30,8 @@ def axis_torque(record: Record, s: Signals) -> Equation | None:
         return None
     load, servo = load_of(record, model), drive_of(record, model)
     drive_terms = drive_torque(s)
-    if drive_terms is None or not (servo or s.current is None or load.type != "none" or "creep" in s.extra):
+    is_coupled = s.mechanical == "coupled"  # to a load; the balance of a free rotor has its load
+    if drive_terms is None or not (servo or s.current is None or is_coupled or "creep" in s.extra):
         return None
     torque, calibration, places = drive_terms
     level_torque, inertia = load.level_torque, model.rotor_inertia

@@ -31,6 +31,7 @@ FREE_SLOW_REACH = 0.5  # samples, the same margin for a free rotor, which needs 
 FINER_ROWS, USUAL_ROWS = ((1.0, 2), (2.0, 4)), (4.0, 8)  # samples: smoothing of rows, and distance between rows
 MOST_FINE_ROW_NOISE = 0.01  # largest noise of an acceleration, relative to its size, at which finer rows are used
 MOST_ACCELERATION_NOISE = 0.1  # relative; a fit lowers the inertia by its square, so that above it a lower rate is used
+LOAD_ZERO, ZERO_PRIOR = "load_zero_rad", 0.1  # nuisance of the angle at which a load hangs, and its prior error [rad]
 STICKING_PRIOR = 0.5  # prior relative change of the nominal Coulomb friction while it sticks
 
 
@@ -84,7 +85,7 @@ def sliding_samples(s: Signals, torque_rate: Array) -> Mask:
 
 
 def free_torque(record: Record, s: Signals) -> Equation | None:
-    """Return the torque balance of a free rotor, K i = J dw/dt + b w + f sgn(w).
+    """Return the torque balance of a free rotor, K i = J dw/dt + b w + f sgn(w), and the torque of the model's load.
 
     None where the rotor is not free, or a channel or parameter is missing.
     """
@@ -96,6 +97,11 @@ def free_torque(record: Record, s: Signals) -> Equation | None:
     drive, calibration, places = torques
     left_over = drive - sum(column for name, column in calibration.items() if name != "torque_constant")
     calibration["torque_constant"] = -drive
+    load_nuisance: dict[str, tuple[Array, float]] = {}
+    if s.acceleration is not None:
+        left_over = left_over - s.load_inertia * s.acceleration
+    if s.weight is not None and s.weight_slope is not None:
+        left_over, load_nuisance = left_over - s.weight, {LOAD_ZERO: (s.weight_slope, ZERO_PRIOR)}
     keys = ("q_axis_current", "test"), ("angle", "test")
     mask = turning_samples(s, s.velocity, FREE_SLOW_REACH) & s.resolved & record.fast.all_valid(*keys)
     mask &= ~samples_near_rest(s, s.velocity)
@@ -114,7 +120,7 @@ def free_torque(record: Record, s: Signals) -> Equation | None:
         places,
         calibration,
         nuisances,
-        shared,
+        shared | load_nuisance,
         rounding=noise_of_counts(s, width),
         width=width,
         step=step,
@@ -143,7 +149,8 @@ def noise_of_counts(s: Signals, width: float) -> float:
 
     width : samples, smoothing of the row.
     """
-    return (s.model.rotor_inertia or 0.0) * noise_of_acceleration(s.count / math.sqrt(12.0), s.interval, width)
+    inertia = (s.model.rotor_inertia or 0.0) + s.load_inertia
+    return inertia * noise_of_acceleration(s.count / math.sqrt(12.0), s.interval, width)
 
 
 def between_instants(clock: Clocked, s: Signals) -> dict[str, tuple[Array, float]]:
@@ -362,11 +369,12 @@ def rotor_torques(s: Signals) -> tuple[Array, dict[str, Array], dict[str, Place]
         "coulomb_friction": (model.coulomb_friction or 0.0) * s.sliding,
     }
     constant, interval = model.torque_constant, s.interval
+    moved_inertia = inertia + (s.load_inertia if s.mechanical == "free" else 0.0)
 
     def angle_error(column: Array) -> Array:
         """Return the resisting torque [N*m] that an error of the angle [rad] seems to add."""
         speed = slope(smooth(column), interval)
-        return -(inertia * slope(speed, interval) + damping * speed)
+        return -(moved_inertia * slope(speed, interval) + damping * speed)
 
     places: dict[str, Place] = {
         "drag": lambda c: c,

@@ -146,7 +146,7 @@ class Evidence:
         all_rows = self._rows()
         self.priors = dict(PRIORS)
         equation_names = {rows.equation for rows in all_rows}
-        if lacks_scale(equation_names):
+        if lacks_scale(equation_names) and not self.model.load.level_torque:  # a known weight is a scale
             self.candidates = [c for c in self.candidates if c[0] not in UNDETERMINED_GAINS]
             if not equation_names & TORQUE_SENSOR_EQUATIONS:
                 self.priors["torque_constant"] = PINNED_PRIOR
