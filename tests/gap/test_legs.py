@@ -20,6 +20,10 @@ def parameters_of(cause):
     return {parameter.name: parameter.value for parameter in cause.parameters}
 
 
+def named(diagnosis):
+    return [cause.effect for cause in diagnosis.causes if cause.probability > 0.5]
+
+
 def velocity_gap(diagnosis):
     [line] = [line for line in diagnosis.shrinkage if line.quantity == "velocity"]
     return line
@@ -28,7 +32,7 @@ def velocity_gap(diagnosis):
 def test_a_weight_on_a_spring_is_named_with_its_share_and_its_swing():
     leg = drawn_leg(np.random.default_rng(1), SWING)
     diagnosis = diagnose(case(leg, np.random.default_rng(2)))
-    assert [cause.effect for cause in diagnosis.causes if cause.probability > 0.5] == ["joint_elasticity"]
+    assert named(diagnosis) == ["joint_elasticity"]
     found = parameters_of(diagnosis.causes[0])
     assert found["share"] == pytest.approx(leg.share, rel=0.03)
     assert found["frequency"] == pytest.approx(SWING, rel=0.02)
@@ -52,7 +56,7 @@ def test_a_wrong_weight_or_angle_of_the_load_is_calibrated(heavier, zero):
     leg = replace(drawn_leg(np.random.default_rng(1)), heavier=heavier, zero=zero)
     measured = case(leg, np.random.default_rng(2))
     diagnosis = diagnose(measured)
-    assert (diagnosis.verdict, diagnosis.causes) == ("calibration", ())
+    assert (diagnosis.verdict, named(diagnosis)) == ("calibration", [])
     found = calibrated(diagnosis)
     constant = measured.model.torque_constant / leg.constant  # which no run of these tells from the weight
     assert ("load.gravity" in found) is (heavier != 1.0)
@@ -70,7 +74,7 @@ def test_a_wrong_torque_constant_is_no_wrong_weight():
     leg = drawn_leg(np.random.default_rng(1))
     runs = case(leg, np.random.default_rng(2))
     diagnosis = diagnose(replace(runs, model=leg.model((0.09, 0.05, 0.1, -0.1))))
-    assert (diagnosis.verdict, diagnosis.causes) == ("calibration", ())
+    assert (diagnosis.verdict, named(diagnosis)) == ("calibration", [])
     assert calibrated(diagnosis)["torque_constant"].fitted == pytest.approx(leg.constant, rel=0.003)
     assert not {"load.gravity", "load.zero_angle"} & calibrated(diagnosis).keys()
 
@@ -78,7 +82,7 @@ def test_a_wrong_torque_constant_is_no_wrong_weight():
 def test_a_swing_that_no_equation_shows_is_unknown_for_what_it_leaves_in_replays():
     leg = replace(drawn_leg(np.random.default_rng(3), 25.0), swing_damping=0.02)
     diagnosis = diagnose(case(leg, np.random.default_rng(4)))
-    assert (diagnosis.verdict, diagnosis.causes) == ("unknown", ())
+    assert (diagnosis.verdict, named(diagnosis)) == ("unknown", [])
     assert velocity_gap(diagnosis).augmented_rms > MOST_REPLAY_MISS * velocity_gap(diagnosis).floor_rms
     [note] = [note for note in diagnosis.notes if note.startswith("unexplained")]
     assert "simulated again, velocity of held-out runs, free" in note
@@ -87,7 +91,7 @@ def test_a_swing_that_no_equation_shows_is_unknown_for_what_it_leaves_in_replays
 def test_a_hard_stop_is_unknown_though_no_row_of_an_equation_has_it():
     leg = replace(drawn_leg(np.random.default_rng(3)), stop=0.85)
     diagnosis = diagnose(case(leg, np.random.default_rng(4)))
-    assert (diagnosis.verdict, diagnosis.causes) == ("unknown", ())
+    assert (diagnosis.verdict, named(diagnosis)) == ("unknown", [])
     assert any(note.startswith("unexplained: simulated again, velocity") for note in diagnosis.notes)
     assert diagnosis.unexplained is None  # no equation has anything to describe
     assert diagnosis.where[0].region.variable == "time_since_reversal"
