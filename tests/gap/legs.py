@@ -38,6 +38,7 @@ class Leg:
     friction: float = 0.25  # N*m
     swing: float = 0.0  # Hz, of the mass on its spring while the motor stands; 0 where it is rigid
     swing_damping: float = 0.05  # of critical
+    play: float = 0.0  # rad, width over which the spring does not act; its flanks push and do not pull
     heavier: float = 1.0  # torque of the weight over that of its mass and length, by which the inertia goes
     zero: float = 0.0  # rad, angle at which the mass would read zero if it hung straight down there
     stop: float = math.inf  # rad, angle at which the motor meets a hard stop on either side
@@ -131,13 +132,16 @@ def moved(leg, wanted):
             flowing += follows * (asked - flowing)
             carried += flowing
             if leg.swing:
-                spring = stiffness * (angle - load_angle) + spring_damping * (speed - load_speed)
+                twist = angle - load_angle
+                beyond = twist - min(max(twist, -0.5 * leg.play), 0.5 * leg.play)
+                spring = stiffness * beyond + spring_damping * (speed - load_speed)
+                spring = spring if not leg.play or spring * beyond > 0.0 else 0.0
                 load_speed += (spring - leg.level * math.sin(load_angle - leg.zero)) * step / leg.load
                 load_angle += load_speed * step
             else:
                 spring = leg.level * math.sin(angle - leg.zero)
-            beyond = abs(angle) - leg.stop
-            bump = math.copysign(STOP * beyond + STOP_DAMPING * abs(speed), angle) if beyond > 0.0 else 0.0
+            into = abs(angle) - leg.stop
+            bump = math.copysign(STOP * into + STOP_DAMPING * abs(speed), angle) if into > 0.0 else 0.0
             ahead = speed + (leg.constant * flowing - leg.damping * speed - spring - bump) * step / moving
             speed = ahead - min(max(ahead, -held), held)
             angle += speed * step

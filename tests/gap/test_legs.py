@@ -42,6 +42,15 @@ def test_a_weight_on_a_spring_is_named_with_its_share_and_its_swing():
     assert line.closed > 0.9
 
 
+def test_a_weight_behind_teeth_with_play_is_named_with_its_play_and_its_share():
+    leg = replace(drawn_leg(np.random.default_rng(1), 90.0), swing_damping=0.8, play=0.02)
+    diagnosis = diagnose(case(leg, np.random.default_rng(2)))
+    assert named(diagnosis) == ["gear_backlash"]
+    found = parameters_of(diagnosis.causes[0])
+    assert found["play"] == pytest.approx(leg.play, rel=0.05)
+    assert found["share"] == pytest.approx(leg.share, rel=0.1)
+
+
 def test_a_weight_on_the_motor_itself_is_sound():
     assert diagnose(case(drawn_leg(np.random.default_rng(3)), np.random.default_rng(4))).verdict == "calibration"
 

@@ -82,6 +82,21 @@ def test_several_loads_do_not_touch_each_other():
         assert np.array_equal(alone[0], together[index])
 
 
+def test_a_load_falls_through_its_play_and_rests_on_the_other_flank():
+    fall, half = 5.0, 0.02
+    loads, twists = follow_loads(
+        np.zeros(SAMPLES), INTERVAL_S, np.array([half]), np.zeros(1), np.zeros(1), np.full(SAMPLES, fall)
+    )
+    time = INTERVAL_S * np.arange(SAMPLES)
+    falling = time < np.sqrt(2.0 * half / fall)
+    assert falling.sum() > 10
+    np.testing.assert_allclose(twists[0, falling], 0.5 * fall * time[falling] ** 2, atol=0.02 * half)
+    np.testing.assert_allclose(loads[0, falling], -fall * time[falling], atol=1e-9)
+    rests = time > np.sqrt(2.0 * half / fall) + 2.0 * INTERVAL_S
+    np.testing.assert_allclose(twists[0, rests], half)
+    np.testing.assert_allclose(loads[0, rests], 0.0, atol=1e-12)
+
+
 def test_without_play_a_load_goes_as_its_motor_does():
     speed = motor(7)
     loads, _ = follow_loads(speed, INTERVAL_S, np.array([1e-9]), np.zeros(1), np.zeros(1))
