@@ -48,7 +48,7 @@ def test_a_weight_behind_teeth_with_play_is_named_with_its_play_and_its_share():
     assert named(diagnosis) == ["gear_backlash"]
     found = parameters_of(diagnosis.causes[0])
     assert found["play"] == pytest.approx(leg.play, rel=0.05)
-    assert found["share"] == pytest.approx(leg.share, rel=0.1)
+    assert found["share"] == pytest.approx(leg.share, rel=0.03)
 
 
 def test_a_weight_on_the_motor_itself_is_sound():
