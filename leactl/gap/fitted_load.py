@@ -7,15 +7,19 @@ inertia, of which the load's part is known, follows it far off its own value.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
 
 from leactl.gap.diagnosis import ZERO_ANGLE, CalibratedParameter
 from leactl.gap.equations.mechanical import LOAD_ZERO
 from leactl.gap.search.effect_regression import PRIORS, Evidence
-from leactl.gap.search.parameters import with_calibration
-from leactl.gap.search.regression import Fit
+from leactl.gap.search.parameters import factor_of, with_calibration
+from leactl.gap.search.regression import Column
 from leactl.gap.signals.record import Record
 from leactl.model.nominal import Model
 
+TORQUE_CONSTANT = ("calibration", "torque_constant")
 WEIGHT = "load.gravity"  # parameter that scales the torque of a mass by a length, and no inertia
 WEIGHT_PRIOR = 0.1  # relative error of the torque of a weight
 LEAST_ODDS = 9.0  # squared prior widths by which a wrong weight has to be the likelier cause
@@ -33,51 +37,60 @@ def with_fitted_load(records: Sequence[Record], model: Model) -> tuple[Model, tu
         return model, ()
     fitted: dict[str, CalibratedParameter] = {}
     for _ in range(ROUNDS):
-        for step in (weight_off, angle_off):
-            item = step(records, model)
-            if item is not None:
-                model = with_calibration(model, [item])
-                nominal = fitted[item.parameter].nominal if item.parameter in fitted else item.nominal
-                fitted[item.parameter] = replace(item, nominal=nominal)
+        for find in (weight_off, angle_off):
+            if (item := find(records, model)) is None:
+                continue
+            model = with_calibration(model, [item])
+            first = fitted.get(item.parameter, item)  # later rounds start from what it has found
+            fitted[item.parameter] = replace(item, nominal=first.nominal)
     return model, tuple(fitted.values())
 
 
 def weight_off(records: Sequence[Record], model: Model) -> CalibratedParameter | None:
-    """Return the weight with which the other parameters are likelier by far; None where there is none."""
-    evidence = Evidence(records, model, only=())
-    fit = evidence.settle([])
-    changes = relative_changes(evidence, fit)
-    if "torque_constant" not in changes or "phase_resistance" in changes:
+    """Return a weight with which the other parameters of the model are far likelier; None where there is none.
+
+    It is the weight that leaves the torque constant at its nominal value.
+    """
+    fitted = fitted_without_effects(records, model)
+    if TORQUE_CONSTANT not in fitted or ("calibration", "phase_resistance") in fitted:
         return None  # a voltage drives it: its gain stands for the weight
-    gravity, factor = model.load.gravity, 1.0 / max(1.0 + changes["torque_constant"], WEIGHT_PRIOR)
-    std = evidence.std_of(("calibration", "torque_constant"), fit)
-    item = CalibratedParameter(WEIGHT, gravity, gravity * factor, gravity * std, "m/s^2")
-    evidence = Evidence(records, with_calibration(model, [item]), only=())
-    changes_beside = relative_changes(evidence, evidence.settle([]))
-    odds = prior_squares(changes) - prior_squares(changes_beside) - ((factor - 1.0) / WEIGHT_PRIOR) ** 2
-    return item if odds > LEAST_ODDS else None
+    constant = fitted[TORQUE_CONSTANT]
+    gravity, factor = model.load.gravity, 1.0 / factor_of(TORQUE_CONSTANT[1], constant.value)
+    weight = CalibratedParameter(WEIGHT, gravity, gravity * factor, gravity * constant.std, "m/s^2")
+    fitted_beside = fitted_without_effects(records, with_calibration(model, [weight]))
+    prior_cost_beside = prior_squares(fitted_beside) + ((factor - 1.0) / WEIGHT_PRIOR) ** 2
+    return weight if prior_squares(fitted) - prior_cost_beside > LEAST_ODDS else None
 
 
 def angle_off(records: Sequence[Record], model: Model) -> CalibratedParameter | None:
-    """Return the angle of the load if it is off beyond its error and the model can hold it; else None."""
+    """Return the angle of the load where it is off beyond its error and the model can hold it; else None."""
     if model.load.type == "pendulum" and model.load.arm_mass:
         return None
-    evidence = Evidence(records, model, only=())
-    fit = evidence.settle([])
-    name = ("nuisance", "", LOAD_ZERO)
-    change, std = evidence.value_of(name, fit), evidence.std_of(name, fit)
-    if not abs(change) > LEAST_STDS * std:
+    offset = fitted_without_effects(records, model).get(("nuisance", "", LOAD_ZERO))
+    if offset is None or abs(offset.value) <= LEAST_STDS * offset.std:
         return None
     angle = -0.5 * math.pi - model.load.hanging_angle
-    return CalibratedParameter(ZERO_ANGLE, angle, angle + change, std, "rad")
+    return CalibratedParameter(ZERO_ANGLE, angle, angle + offset.value, offset.std, "rad")
 
 
-def relative_changes(evidence: Evidence, fit: Fit) -> dict[str, float]:
-    """Return the relative change of each calibrated parameter."""
-    names = [evidence.stack.names[column] for column in fit.columns]
-    return {name[1]: float(value) for name, value in zip(names, fit.values, strict=True) if name[0] == "calibration"}
+class Coefficient(NamedTuple):
+    """A fitted coefficient: the relative change of a parameter, or a nuisance in its own unit."""
+
+    value: float
+    std: float  # standard error by noise
 
 
-def prior_squares(changes: Mapping[str, float]) -> float:
-    """Return the sum of the squared changes in prior widths."""
-    return sum((change / PRIORS[parameter]) ** 2 for parameter, change in changes.items())
+def fitted_without_effects(records: Sequence[Record], model: Model) -> dict[Column, Coefficient]:
+    """Return the coefficients of a fit of the model alone, by column."""
+    evidence = Evidence(records, model, only=())
+    fit = evidence.settle([])
+    stds = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    return {
+        evidence.stack.names[column]: Coefficient(float(value), float(std))
+        for column, value, std in zip(fit.columns, fit.values, stds, strict=True)
+    }
+
+
+def prior_squares(fitted: Mapping[Column, Coefficient]) -> float:
+    """Return the sum of the squared changes of the model's parameters in prior widths."""
+    return sum((fitted[name].value / PRIORS[name[1]]) ** 2 for name in fitted if name[0] == "calibration")

@@ -5,10 +5,10 @@ import numpy.typing as npt
 
 from leactl.effects.contract import Signals
 from leactl.gap.equations.contract import Equation, Place
-from leactl.gap.equations.mechanical import LOAD_ZERO, ZERO_PRIOR
+from leactl.gap.equations.mechanical import load_angle_nuisance, load_torque
 from leactl.gap.signals.noise import noise_of
 from leactl.gap.signals.record import Clocked, Record
-from leactl.gap.signals.rig import drive_of, load_of, moving_samples, voltage_feed
+from leactl.gap.signals.rig import drive_of, moving_samples, voltage_feed
 from leactl.gap.signals.smoothing import noise_of_acceleration, slope, smooth
 from leactl.gap.signals.stamps import stamp_columns
 
@@ -28,30 +28,26 @@ def axis_torque(record: Record, s: Signals) -> Equation | None:
         return None
     if model.rotor_inertia is None or (s.mechanical == "coupled" and model.load.type == "none"):
         return None
-    load, servo = load_of(record, model), drive_of(record, model)
+    servo = drive_of(record, model)
     drive_terms = drive_torque(s)
     is_coupled = s.mechanical == "coupled"  # to a load; the balance of a free rotor has its load
     if drive_terms is None or not (servo or s.current is None or is_coupled or "creep" in s.extra):
         return None
     torque, calibration, places = drive_terms
-    level_torque, inertia = load.level_torque, model.rotor_inertia
+    inertia = model.rotor_inertia
     damping, friction = model.viscous_damping or 0.0, model.coulomb_friction or 0.0
-    tilt = s.angle - load.hanging_angle if s.angle is not None else np.zeros_like(torque)
     resisting_columns = {
         "rotor_inertia": inertia * s.acceleration,
         "viscous_damping": damping * s.velocity,
         "coulomb_friction": friction * s.sliding,
     }
-    nuisance: dict[str, tuple[Array, float]] = {}
-    if level_torque and s.angle is not None:
-        nuisance[LOAD_ZERO] = (level_torque * np.cos(tilt), ZERO_PRIOR)
+    nuisance = load_angle_nuisance(s)
     if "servo_slope" in s.extra and model.torque_constant and model.phase_resistance:
         voltage_rate = s.extra["servo_slope"] * slope(s.extra["servo_reference"], s.interval)
         column = voltage_rate * model.torque_constant / model.phase_resistance
         nuisance["reference_timing_s"] = (column, TIMING_SAMPLES * s.interval)
     shared = dict[str, tuple[Array, float]]()
-    weight = level_torque * np.sin(tilt) if s.weight is None else s.weight
-    resisting_torque = sum(resisting_columns.values()) + s.load_inertia * s.acceleration + weight
+    resisting_torque = sum(resisting_columns.values()) + load_torque(s)
     if (feed := voltage_feed(record, model)) is not None:
         damping += feed.damping
         shared = stamp_columns("axis_torque", clock, _FEED_CHANNELS, -s.extra["fed"])

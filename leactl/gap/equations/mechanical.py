@@ -96,12 +96,8 @@ def free_torque(record: Record, s: Signals) -> Equation | None:
         return None
     drive, calibration, places = torques
     left_over = drive - sum(column for name, column in calibration.items() if name != "torque_constant")
+    left_over = left_over - load_torque(s)
     calibration["torque_constant"] = -drive
-    load_nuisance: dict[str, tuple[Array, float]] = {}
-    if s.acceleration is not None:
-        left_over = left_over - s.load_inertia * s.acceleration
-    if s.weight is not None and s.weight_slope is not None:
-        left_over, load_nuisance = left_over - s.weight, {LOAD_ZERO: (s.weight_slope, ZERO_PRIOR)}
     keys = ("q_axis_current", "test"), ("angle", "test")
     mask = turning_samples(s, s.velocity, FREE_SLOW_REACH) & s.resolved & record.fast.all_valid(*keys)
     mask &= ~samples_near_rest(s, s.velocity)
@@ -120,12 +116,24 @@ def free_torque(record: Record, s: Signals) -> Equation | None:
         places,
         calibration,
         nuisances,
-        shared | load_nuisance,
+        shared | load_angle_nuisance(s),
         rounding=noise_of_counts(s, width),
         width=width,
         step=step,
         memory=MEMORY_ROWS * USUAL_ROWS[1] // step,  # the same duration in closer rows
     )
+
+
+def load_torque(s: Signals) -> Array:
+    """Return the torque [N*m] that the model's load takes from the shaft, by its inertia and its weight."""
+    assert s.acceleration is not None
+    inertial_torque = s.load_inertia * s.acceleration
+    return inertial_torque if s.weight is None else inertial_torque + s.weight
+
+
+def load_angle_nuisance(s: Signals) -> dict[str, tuple[Array, float]]:
+    """Return the nuisance of the angle at which the model's load hangs; empty where it has no weight."""
+    return {} if s.weight_slope is None else {LOAD_ZERO: (s.weight_slope, ZERO_PRIOR)}
 
 
 def reversal_torque(record: Record, balance: Equation) -> Equation:

@@ -334,16 +334,6 @@ class Evidence:
         """Return by how many samples one side is later than the other, by equation with stamps of unknown meaning."""
         return {equation: lateness_of(weights) for equation, (weights, _) in stamp_weights(self.stack, fit).items()}
 
-    def value_of(self, name: Column, fit: Fit) -> float:
-        """Return the fitted coefficient of a column; zero where the fit lacks it."""
-        positions = np.flatnonzero(fit.columns == self.stack.position_of.get(name, -1))
-        return float(fit.values[positions[0]]) if len(positions) else 0.0
-
-    def std_of(self, name: Column, fit: Fit) -> float:
-        """Return the standard error of a column's coefficient by noise; zero where the fit lacks it."""
-        positions = np.flatnonzero(fit.columns == self.stack.position_of.get(name, -1))
-        return math.sqrt(max(float(fit.covariance[positions[0], positions[0]]), 0.0)) if len(positions) else 0.0
-
     def settle(self, hypothesis: Sequence[Candidate], rounds: int = 2) -> Fit:
         """Return the fit of a hypothesis, with the noise estimated from its residuals; the rows keep that noise.
 

@@ -95,11 +95,6 @@ def add_rig_signals(record: Record, s: Signals) -> None:
             s.extra["commanded"] = torque  # not a sensor's reading
         if not (logs_torque_reference or logs_torque):
             s.extra["torque_of_current_reference"] = torque  # by the model's torque constant
-    load = load_of(record, model)
-    s.load_inertia = load.inertia
-    if load.level_torque and s.angle is not None:
-        tilt = s.angle - load.hanging_angle
-        s.weight, s.weight_slope = load.level_torque * np.sin(tilt), load.level_torque * np.cos(tilt)
     if model.load.type != "none" and s.current is not None and model.torque_constant is not None:
         # a gear's friction grows with the motor's torque; a released pendulum has bearing friction alone
         s.torque = model.torque_constant * s.current
@@ -107,6 +102,11 @@ def add_rig_signals(record: Record, s: Signals) -> None:
         # a chain of rests needs no derivatives: its samples are not smoothed, so that fine waves keep their height
         s.angle, s.current = clock.values["angle", "test"], clock.get("q_axis_current")
         s.sliding = s.extra["creep"] = creep_direction(s.angle, JITTER_COUNTS * clock.counts["angle", "test"])
+    load = load_of(record, model)
+    s.load_inertia = load.inertia
+    if load.level_torque and s.angle is not None:
+        tilt = s.angle - load.hanging_angle
+        s.weight, s.weight_slope = load.level_torque * np.sin(tilt), load.level_torque * np.cos(tilt)
 
 
 def servo_current(clock: Clocked, servo: DriveModel, s: Signals) -> None:

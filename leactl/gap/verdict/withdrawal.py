@@ -281,17 +281,16 @@ def refusal_of_limit(shrunk: Shrunk) -> str:
     resembles the limit, such as that of a supply at its voltage limit, closes a part. What closes none of it in any
     set-up is no limit, however small the gap: a current that overshoots resembles one.
     """
-    open_currents = [
-        channel
+    closed_shares = [
+        (channel, channel.closed)
         for channel in shrunk.shrinkage
         if channel.quantity == "q_axis_current" and channel.closed is not None and channel.floor_rms > 0.0
     ]
-    if open_currents and not any((channel.closed or 0.0) > 0.0 for channel in open_currents):
+    if closed_shares and all(closed <= 0.0 for _, closed in closed_shares):
         return "it closes nothing of the current's gap"
-    for channel in open_currents:
-        assert channel.closed is not None
-        if channel.augmented_rms > MOST_REPLAY_MISS * channel.floor_rms and channel.closed < LEAST_LIMIT_SHARE:
-            share = f"{100 * max(channel.closed, 0.0):.1f} % of the current's gap, {channel.mechanical}"
+    for channel, closed in closed_shares:
+        if channel.augmented_rms > MOST_REPLAY_MISS * channel.floor_rms and closed < LEAST_LIMIT_SHARE:
+            share = f"{100 * max(closed, 0.0):.1f} % of the current's gap, {channel.mechanical}"
             return f"it closes {share}; a limit of the drive closes {100 * LEAST_LIMIT_SHARE:.0f} % or more"
     return ""
 
