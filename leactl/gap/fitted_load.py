@@ -1,12 +1,13 @@
-"""Fit the angle and the weight of the model's load before anything else: no effect of the library stands for them.
+"""Fit the angle and the weight of the model's load before anything else, as no effect can stand for an error in them.
 
-A fit takes the weight as known: it gives the torque constant. A wrong weight then looks like a wrong constant, and the
-inertia, of which the load's part is known, follows it far off its own value.
+The fits after this one take the weight as known: the weight sets the torque constant. A wrong weight then looks like a
+wrong constant, and the rotor's inertia, fitted beside the load's known part, is far off its own value.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from leactl.model.nominal import Model
 TORQUE_CONSTANT = ("calibration", "torque_constant")
 WEIGHT = "load.gravity"  # parameter that scales the torque of a mass by a length, and no inertia
 WEIGHT_PRIOR = 0.1  # relative error of the torque of a weight
-LEAST_ODDS = 9.0  # squared prior widths by which a wrong weight has to be the likelier cause
+LEAST_ODDS = 9.0  # least drop in summed squared prior widths for which a fitted weight replaces the model's
 LEAST_STDS = 3.0  # standard errors from which an angle is off
 ROUNDS = 2  # rounds of fitting both
 
@@ -31,14 +32,15 @@ def with_fitted_load(records: Sequence[Record], model: Model) -> tuple[Model, tu
     """Return the model with the angle and the weight of its load as the runs have them, and those that were off.
 
     The model is returned as it is where it has no weight, and where a servo's voltage drives it. A pendulum has no
-    angle in a model file: it becomes an arm, unless it has an arm of its own.
+    angle in a model file: it becomes an arm, unless it has an `arm_mass`, which no arm has.
     """
     if model.load.level_torque == 0.0 or model.drive is not None:
         return model, ()
     fitted: dict[str, CalibratedParameter] = {}
+    searches = (partial(weight_off, nominal=model), angle_off)
     for _ in range(ROUNDS):
-        for find in (weight_off, angle_off):
-            if (item := find(records, model)) is None:
+        for search in searches:
+            if (item := search(records, model)) is None:
                 continue
             model = with_calibration(model, [item])
             first = fitted.get(item.parameter, item)  # later rounds start from what it has found
@@ -46,20 +48,25 @@ def with_fitted_load(records: Sequence[Record], model: Model) -> tuple[Model, tu
     return model, tuple(fitted.values())
 
 
-def weight_off(records: Sequence[Record], model: Model) -> CalibratedParameter | None:
+def weight_off(records: Sequence[Record], model: Model, nominal: Model) -> CalibratedParameter | None:
     """Return a weight with which the other parameters of the model are far likelier; None where there is none.
 
-    It is the weight that leaves the torque constant at its nominal value.
+    It is the weight that leaves the torque constant at its nominal value. The change of the weight itself counts from
+    the nominal model's weight, whatever `model` already has.
     """
     fitted = fitted_without_effects(records, model)
     if TORQUE_CONSTANT not in fitted or ("calibration", "phase_resistance") in fitted:
-        return None  # a voltage drives it: its gain stands for the weight
+        return None  # a voltage drives it: its gain and the weight are one column
     constant = fitted[TORQUE_CONSTANT]
     gravity, factor = model.load.gravity, 1.0 / factor_of(TORQUE_CONSTANT[1], constant.value)
-    weight = CalibratedParameter(WEIGHT, gravity, gravity * factor, gravity * constant.std, "m/s^2")
-    fitted_beside = fitted_without_effects(records, with_calibration(model, [weight]))
-    prior_cost_beside = prior_squares(fitted_beside) + ((factor - 1.0) / WEIGHT_PRIOR) ** 2
-    return weight if prior_squares(fitted) - prior_cost_beside > LEAST_ODDS else None
+    weight = CalibratedParameter(WEIGHT, gravity, gravity * factor, gravity * factor**2 * constant.std, "m/s^2")
+    model_beside = with_calibration(model, [weight])
+    fitted_beside = fitted_without_effects(records, model_beside)
+    kept, beside = (
+        prior_squares(coefficients) + ((used.load.gravity / nominal.load.gravity - 1.0) / WEIGHT_PRIOR) ** 2
+        for coefficients, used in ((fitted, model), (fitted_beside, model_beside))
+    )
+    return weight if kept - beside > LEAST_ODDS else None
 
 
 def angle_off(records: Sequence[Record], model: Model) -> CalibratedParameter | None:

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from leactl.gap.diagnose import diagnose
-from leactl.gap.diagnosis import MOST_REPLAY_MISS, Shrinkage
+from leactl.gap.diagnosis import MOST_REPLAY_MISS, CalibratedParameter, Shrinkage
+from leactl.gap.fitted_load import WEIGHT, weight_off
 from leactl.gap.replay import replay
-from leactl.gap.search.parameters import with_effects
+from leactl.gap.search.parameters import with_calibration, with_effects
 from leactl.gap.verdict.replay_gap import floors_of_sound_machine, unexplained_in_replays
 from tests.gap.legs import GRAVITY, case, drawn_leg, recorded
 
@@ -86,6 +87,15 @@ def test_a_wrong_torque_constant_is_no_wrong_weight():
     assert (diagnosis.verdict, named(diagnosis)) == ("calibration", [])
     assert calibrated(diagnosis)["torque_constant"].fitted == pytest.approx(leg.constant, rel=0.003)
     assert not {"load.gravity", "load.zero_angle"} & calibrated(diagnosis).keys()
+
+
+def test_a_weight_counts_as_changed_from_the_nominal_one_in_every_round():
+    """Else a second round could go as far again for the price of its own step."""
+    leg = replace(drawn_leg(np.random.default_rng(1)), heavier=1.25)
+    records, model = case(leg, np.random.default_rng(2)).fitted, leg.model()
+    lighter = with_calibration(model, [CalibratedParameter(WEIGHT, GRAVITY, GRAVITY / 3.0, 0.1, "m/s^2")])
+    assert weight_off(records, model, nominal=model).fitted == pytest.approx(1.25 * GRAVITY, rel=0.02)
+    assert weight_off(records, model, nominal=lighter) is None
 
 
 def test_a_swing_that_no_equation_shows_is_unknown_for_what_it_leaves_in_replays():
